@@ -2,13 +2,12 @@
 
 Each trial is a training run with other settings, and is stopped early if it is worse than most
 (`agents/learners/tuning.py`). Trials are validated on the same arms as all trainings, never on those of the comparison.
-They are kept in an SQLite file, from which `--resume` continues; their policies are not kept. At the end, the command
+They are kept in a journal, from which `--resume` continues; their policies are not kept. At the end, the command
 prints how to train with the best settings.
 """
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 
@@ -16,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, trials_as_csv, tune
 from baselines.engines.parallel import StopRequest, stop_on_signals
-from baselines.tools.command import run_command, this_python
+from baselines.tools.command import resume_command, run_command
 from baselines.tools.files import write_text
 
 
@@ -33,9 +32,8 @@ def run(config: TuningConfig) -> None:
         print(f"{len(counted(study))} trials, see {config.table}; lowest validation cost {study.best_value:.1f}")
         print(f"to train with it:\n  {found}")
     except KeyboardInterrupt:
-        words = ["train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"]
-        again = f"{this_python()} {shlex.join(words)}"
-        print(f"interrupted; trials are kept in {config.file}; to continue:\n  {again}")
+        again = resume_command("train/tune.py")
+        print(f"interrupted; trials are kept in {config.journal}; to continue:\n  {again}")
         sys.exit(130)
 
 

@@ -2,7 +2,7 @@
 
 Optuna's tree-structured Parzen estimator proposes settings; a trial is a training run with them, whose value is its
 lowest validation cost, and it is stopped where its validation cost is above the median of the trials before it [1].
-All trials simulate the same number of samples, however long they hold a residual. Trials are kept in an SQLite file, in
+All trials simulate the same number of samples, however long they hold a residual. Trials are kept in a journal, in
 which several processes work together; those of other machines reach it through Optuna's proxy in this process.
 
 [1] D. Golovin et al.: Google Vizier: A Service for Black-Box Optimization, KDD 2017.
@@ -24,11 +24,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
-import numpy as np
 import optuna
 import tyro
 from optuna.trial import FrozenTrial, Trial, TrialState
-from sqlalchemy.pool import NullPool
 
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ReinforcementConfig
@@ -37,15 +35,14 @@ from agents.runs.monitor import News
 from agents.runs.training import train
 from baselines.engines.options import SideBySide
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
-from baselines.tools.command import this_python
+from baselines.tools.command import require_bounds, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups
 from baselines.tools.resuming import note_options, noted_options
+from baselines.tuning import study as studies
 
 _FIRST_SEED, _SEEDS = 50, 50  # training seeds of trials; a run to be reported has one below
-_MOST_TRIALS = 400
 _VALIDATIONS = 10  # per trial
-_REPEATS = "repeats"  # attribute of a trial that repeats an interrupted one: the place of that
 
 
 @dataclass(frozen=True)
@@ -73,14 +70,14 @@ class TuningConfig(SideBySide):
     validation_arms: int = 128
     """Arms in each validation."""
     out: Path = Path("results/train-tune")
-    """Folder of the studies, ALGORITHM.db in SQLite, of their options and of their tables, ALGORITHM.csv."""
+    """Folder of the studies, ALGORITHM.journal, of their options and of their tables, ALGORITHM.csv."""
     resume: bool = False
     """Continue the study in --out."""
 
     @property
-    def file(self) -> Path:
-        """SQLite file of the study."""
-        return self.out / f"{self.algorithm}.db"
+    def journal(self) -> Path:
+        """Journal of the study."""
+        return self.out / f"{self.algorithm}.journal"
 
     @property
     def noted(self) -> Path:
@@ -100,16 +97,14 @@ class TuningConfig(SideBySide):
             FileNotFoundError: If there is nothing to resume.
         """
         self.check_engine()
-        for name, least in (("trials", 1), ("samples", 1000), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
-        if self.trials > _MOST_TRIALS:
-            raise ValueError(f"--trials must be at most {_MOST_TRIALS}, got {self.trials}")
+        require_bounds(self, trials=(1, 400), samples=(1000, None), seed=(0, None))
         self.run({}, 0).check()
-        if self.resume and not self.file.exists():
-            raise FileNotFoundError(f"nothing to resume: {self.file} is missing; run once without --resume")
-        if self.file.exists() and not self.resume:
-            raise ValueError(f"{self.file} already holds a study: continue it with --resume, or choose another --out")
+        if self.resume and not self.journal.exists():
+            raise FileNotFoundError(f"nothing to resume: {self.journal} is missing; run once without --resume")
+        if self.journal.exists() and not self.resume:
+            raise ValueError(
+                f"{self.journal} already holds a study: continue it with --resume, or choose another --out"
+            )
 
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """Options of the training run of a trial."""
@@ -149,28 +144,15 @@ def begun_options(config: TuningConfig) -> dict[str, Any]:
 
 
 def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
-    """Open the study in the SQLite file, or through a proxy of its storage, or begin one.
+    """Open the study in the journal, or through a proxy of its storage, or begin one.
 
     Raises:
-        ValueError: If the file is damaged, or was begun with other options.
+        ValueError: If the journal is damaged, or was begun with other options.
     """
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    try:
-        study = optuna.create_study(
-            study_name=config.algorithm,
-            storage=storage or _sqlite(config),
-            load_if_exists=True,
-            pruner=optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3),
-        )
-    except Exception as error:  # SQLAlchemy's, of many kinds
-        raise ValueError(f"{config.file} cannot be read ({type(error).__name__}): choose another --out") from None
     begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
-    if study.user_attrs.get("begun", begun) != begun:
-        raise ValueError(
-            f"{config.file} was started with {study.user_attrs['begun']}: give the same options, or another --out"
-        )
-    study.set_user_attr("begun", begun)
-    return study
+    pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3)
+    remedy = "give the same options, or choose another --out"
+    return studies.open_study(config.journal, begun, pruner, remedy=remedy, storage=storage)
 
 
 def tune(
@@ -184,73 +166,44 @@ def tune(
         tell: Called with a line as trials begin, and for each that is complete.
 
     Raises:
-        ValueError: If an option is not allowed, there is another study in the file, or a worker failed.
+        ValueError: If an option is not allowed, the journal holds another study or is used by another process, or a
+            worker failed.
         OSError: If files cannot be written, or there is nothing to resume.
     """
     config.check()
     require_writable(config.out)
-    _begin(config)
-    note_options(config.noted, config)
-    jobs = config.jobs or default_jobs()
-    done = len(counted(open_study(config)))
-    tell(
-        f"{max(config.trials - done, 0)} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time"
-    )
-    search = partial(_search, config) if config.engine == "local" else partial(_search_away, config, _served(config))
-    workers = {f"worker {number}": partial(search, number) for number in range(jobs)}
-    engine = config.runs_on
-    with closing(run_side_by_side(workers, jobs, engine=engine, stop=stop, tell=lambda _, line: tell(line))) as ends:
-        failed = [f"{name}: {end.message}" for name, end in ends if isinstance(end, Failure)]
-    if failed:
-        raise ValueError("\n".join(failed))
-    return open_study(config)
+    with studies.own(config.journal):
+        done = len(counted(begin(config)))
+        note_options(config.noted, config)
+        jobs = config.jobs or default_jobs()
+        left = max(config.trials - done, 0)
+        tell(f"{left} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time")
+        work = run_trials if config.engine == "local" else partial(_run_trials_away, server=_serve(config))
+        workers = {f"worker {number}": partial(work, config, number) for number in range(jobs)}
+        ends = run_side_by_side(workers, jobs, engine=config.runs_on, stop=stop, tell=lambda _, line: tell(line))
+        with closing(ends):
+            failed = [f"{name}: {end.message}" for name, end in ends if isinstance(end, Failure)]
+        if failed:
+            raise ValueError("\n".join(failed))
+        return open_study(config)
 
 
-def _begin(config: TuningConfig) -> None:
-    """Begin the study with the algorithm's defaults, or mark as failed what an interruption left running."""
+def begin(config: TuningConfig) -> optuna.Study:
+    """Open the study, which begins with the algorithm's defaults; what was interrupted is to be repeated."""
     study = open_study(config)
-    _give_up_running(config, study)
+    _repeat_interrupted(config, study)
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(config.defaults())
+    return study
 
 
-def _give_up_running(config: TuningConfig, study: optuna.Study, worker: int | None = None) -> None:
-    """Give up the running trials of a worker that died, or of all, with their folders; they are to be repeated."""
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        if worker in (None, trial.user_attrs.get("worker")):
-            shutil.rmtree(config.run({}, _place(study, trial)).out, ignore_errors=True)
-            _repeat_later(study, trial)
+def _repeat_interrupted(config: TuningConfig, study: optuna.Study, worker: int | None = None) -> None:
+    """Have the running trials of a worker that died repeated, or those of all, and remove their folders."""
+    for place in studies.repeat_interrupted(study, worker):
+        shutil.rmtree(config.run({}, place).out, ignore_errors=True)
 
 
-def _repeat_later(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
-    """Mark a trial that was interrupted as failed, and put another with its settings and its place in the queue."""
-    place = _place(study, trial)
-    study.tell(trial.number, state=TrialState.FAIL)
-    study.enqueue_trial(trial.params, user_attrs={_REPEATS: place})
-
-
-def _place(study: optuna.Study, trial: FrozenTrial | Trial) -> int:
-    """Place of a trial in a study that is never interrupted, in which none is repeated."""
-    return trial.user_attrs.get(_REPEATS, _places(study, trial.number))
-
-
-def _places(study: optuna.Study, before: int | None = None) -> int:
-    """How many trials there are, or were before one; repeats do not count."""
-    return sum(_REPEATS not in trial.user_attrs for trial in study.get_trials(deepcopy=False)[:before])
-
-
-def _sampler(config: TuningConfig, study: optuna.Study, worker: int) -> optuna.samplers.BaseSampler:
-    """Sampler of a worker's next trial. What it draws follows from the trials before, not from when the study began."""
-    seeds = np.random.SeedSequence([config.seed, worker, _places(study)])
-    return optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
-
-
-def _sqlite(config: TuningConfig) -> optuna.storages.RDBStorage:
-    """Open the SQLite file; its connections are closed after each use, since nobody tells a storage that it is done."""
-    return optuna.storages.RDBStorage(f"sqlite:///{config.file.resolve()}", engine_kwargs={"poolclass": NullPool})
-
-
-def _served(config: TuningConfig) -> tuple[str, int]:
+def _serve(config: TuningConfig) -> tuple[str, int]:
     """Serve the study's storage to other machines for as long as this process lives; gives its host and port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("10.255.255.255", 1))  # sends nothing; tells the address that other machines see
@@ -258,39 +211,37 @@ def _served(config: TuningConfig) -> tuple[str, int]:
     with socket.socket() as probe:
         probe.bind((host, 0))
         port = probe.getsockname()[1]
-    storage = optuna.storages.get_storage(_sqlite(config))
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)  # Optuna's proxy is one
     one = ThreadPoolExecutor(1)  # more calls at a time would give a waiting trial to two workers
+    storage = studies.storage_in(config.journal)
     serve = partial(optuna.storages.run_grpc_proxy_server, storage, host=host, port=port, thread_pool=one)
     threading.Thread(target=serve, daemon=True).start()
     return host, port
 
 
-def _search_away(config: TuningConfig, server: tuple[str, int], worker: int, channel: Channel) -> None:
+def _run_trials_away(config: TuningConfig, worker: int, channel: Channel, server: tuple[str, int]) -> None:
     """Run trials on a machine that does not see the study's file, in a folder of its own."""
     host, port = server
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-    with TemporaryDirectory(prefix="beltarm-") as place:
+    with TemporaryDirectory(prefix="beltarm-") as folder:
         storage = optuna.storages.GrpcStorageProxy(host=host, port=port)
         storage.wait_server_ready(timeout=60)
-        _search(replace(config, out=Path(place)), worker, channel, storage)
+        run_trials(replace(config, out=Path(folder)), worker, channel, storage)
 
 
-def _search(config: TuningConfig, worker: int, channel: Channel, storage: Any = None) -> None:
+def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any = None) -> None:
     """Run trials until there are enough; a worker whose process died begins again with a new one."""
     study = open_study(config, storage)
-    _give_up_running(config, study, worker)
+    _repeat_interrupted(config, study, worker)
     while not channel.stop.made and len(counted(study)) < config.trials:
-        study.sampler = _sampler(config, study, worker)
-        trial = study.ask(SPACES[config.algorithm])
-        trial.set_user_attr("worker", worker)
-        run = config.run(trial.params, _place(study, trial))
+        trial = studies.ask(study, SPACES[config.algorithm], config.seed, worker)
+        run = config.run(trial.params, studies.place(study, trial))
         try:
             value = _value(config, run, trial, channel.stop)
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Interrupted:
-            _repeat_later(study, trial)
+            studies.repeat_later(study, trial)
         except ValueError as error:
             trial.set_user_attr("failure", str(error))
             study.tell(trial, state=TrialState.FAIL)
@@ -313,8 +264,7 @@ def _value(config: TuningConfig, run: ReinforcementConfig, trial: Trial, stop: S
         if trial.should_prune():
             raise optuna.TrialPruned
 
-    make_learner = ALGORITHMS[config.algorithm].make_learner
-    train(run, make_learner, Channel(judge, stop))
+    train(run, ALGORITHMS[config.algorithm].make_learner, Channel(judge, stop))
     return min(costs)
 
 
@@ -340,7 +290,7 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
     """
     if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         failures = [trial.user_attrs.get("failure", "") for trial in study.get_trials(deepcopy=False)]
-        raise ValueError(f"no trial of {config.file} was completed; {next(filter(None, failures), 'none was run')}")
+        raise ValueError(f"no trial of {config.journal} was completed; {next(filter(None, failures), 'none was run')}")
     options = {"base": config.base, **study.best_params}
     words = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
     return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *words, '--arms', str(config.arms)])}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,16 +12,7 @@ import numpy as np
 from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.estimation.identification import IdentifyingController
 from baselines.loops.margins import Margins, margins_from_poles
-from baselines.loops.models import (
-    Loop,
-    Poles,
-    System,
-    arms_at_angles,
-    closed_poles,
-    laws_at_angles,
-    open_poles,
-    stacked,
-)
+from baselines.loops.models import Loop, Poles, System, arms_at_angles, laws_at_angles, poles_of
 from baselines.models.corners import CORNERS
 from baselines.models.linear import ANGLES
 from beltarm_env import ArmParams
@@ -49,43 +40,40 @@ def margins_on(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> tuple[M
     Raises:
         ValueError: If there is no linear law for the controller.
     """
-    names = tuple(arms)
-    loops = Loop(_laws(controller, names), _arms(names))
-    closed = closed_poles(loops)
-    return margins_from_poles(open_poles(loops), closed), closed
+    loops = list[Loop]()
+    laws = [] if isinstance(controller, IdentifyingController) else laws_at_angles(controller)
+    for name in arms:
+        own = laws or laws_at_angles(believing(controller, CORNERS[name]))
+        loops += map(Loop, own, _arm_at_angles(name))
+    opened, closed = poles_of(loops)
+    found, shape = margins_from_poles(opened, closed), (len(arms), len(ANGLES))
+    shaped: Any = [each.reshape(shape) for each in found]
+    return Margins(*shaped), closed.reshape(*shape, -1)
 
 
 def least_margins(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> LeastMargins:
     """Least margins of a controller over some of `CORNERS` and all angles; errors as of `margins_on`."""
-    names = tuple(arms)
-    found, closed = margins_on(controller, names)
+    found, closed = margins_on(controller, arms)
     growth = np.abs(closed).max(axis=-1) - 1
     # Where loops are unstable, the worst is the one that diverges fastest.
     modulus, delay = (np.where(found.stable, values, -growth) for values in (found.modulus, found.delay))
     return LeastMargins(
         growth=float(growth.max()),
         modulus=max(0.0, float(modulus.min())),
-        modulus_at=_place(modulus, names),
+        modulus_at=_place(modulus, arms),
         delay=max(0.0, float(delay.min())),
-        delay_at=_place(delay, names),
+        delay_at=_place(delay, arms),
     )
 
 
-def _place(values: Floats, names: tuple[str, ...]) -> str:
-    arm, k = np.unravel_index(int(values.argmin()), values.shape)
+def _place(values: Floats, names: Sequence[str]) -> str:
+    arm, k = divmod(int(values.argmin()), len(ANGLES))
     return f"{names[arm]}, {np.degrees(ANGLES[k]):.0f}°"
 
 
-@lru_cache(maxsize=4)
-def _arms(names: tuple[str, ...]) -> System:
-    return arms_at_angles([CORNERS[name] for name in names])
-
-
-def _laws(controller: Any, names: tuple[str, ...]) -> System:
-    """The law at each angle; of a controller that identifies its arm, for each arm that it has found."""
-    if not isinstance(controller, IdentifyingController):
-        return laws_at_angles(controller)
-    return stacked([laws_at_angles(believing(controller, CORNERS[name])) for name in names])
+@cache
+def _arm_at_angles(name: str) -> list[System]:
+    return arms_at_angles(CORNERS[name])
 
 
 def believing(controller: Any, arm: ArmParams) -> Any:

@@ -1,4 +1,4 @@
-"""Stability margins of a loop, from its poles alone.
+"""Stability margins of loops, from their poles alone.
 
 With the open poles p, those of arm and law, and the closed poles q,
 
@@ -13,6 +13,11 @@ frequencies of lightly damped poles. On z = exp(i w T) are found
                     what is in the loop already, of the encoder or of the drive, that the loop bears
     modulus margin  1 / max |S| = min |1 + L|, the distance of the Nyquist curve to -1
 
+python-control answers this for one loop at a time, in 20 ms (`disk_margins`, at 500 frequencies) to 100 ms
+(`stability_margins`). Here a loop takes 0.3 ms, and a tuning looks at 460 for each proposal. Over 130 loops of these
+controllers `disk_margins` misses the modulus margin by up to 26 %, between two frequencies. The phase margin of
+`stability_margins` is off by more than 1 % for 12 % of them, and for 99 % by its polynomials, of degree 25.
+
 A delay of whole samples turns L by exactly w T each. One of parts of a sample does so but for what holding the command
 adds near w = pi / T, of which nothing is left at the frequencies where |L| = 1.
 """
@@ -23,8 +28,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize.elementwise import find_minimum, find_root
 
-from baselines.loops.models import Loop, Poles, closed_poles, open_poles
+from baselines.loops.models import Loop, Poles, poles_of
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Flags, Floats, Integers
 
@@ -32,12 +38,11 @@ _TURNS = np.append(np.geomspace(0.05 * CONTROL_PERIOD, 0.9999 * np.pi, 300), np.
 """Frequencies w T at which every loop is looked at [rad]."""
 _BESIDE = np.sinh(np.linspace(-5.0, 5.0, 25)) / 8
 """Places around each pole, in distances to the unit circle: 0.05 apart at its frequency, up to 9 away."""
-_BISECTIONS = 40
 _INTEGRATES = 1e-6  # distance of an open pole to z = 1 below which L is infinite there
 
 
 class Margins(NamedTuple):
-    """Stability margins of n loops, each of shape (n,) or any other; those of an unstable one mean nothing."""
+    """Stability margins of n loops, each of shape (n,); those of an unstable one mean nothing."""
 
     stable: Flags
     gain_up: Floats  # factor above 1, infinite if there is none
@@ -47,36 +52,62 @@ class Margins(NamedTuple):
     modulus: Floats
 
 
-def margins(loop: Loop) -> Margins:
-    """Margins of a loop, or of many along its leading axes."""
-    return margins_from_poles(open_poles(loop), closed_poles(loop))
+def margins(*loops: Loop) -> Margins:
+    """Margins of loops."""
+    return margins_from_poles(*poles_of(loops))
 
 
 def margins_from_poles(open_z: Poles, closed_z: Poles) -> Margins:
-    """Margins of loops with these poles z before and after closing, each of shape (..., m)."""
-    front, size = open_z.shape[:-1], open_z.shape[-1]
-    opened, closed = (poles.reshape(-1, size).T for poles in (open_z, closed_z))
-    turns = _grid(opened, closed)
-    distances = _one_plus_loop(turns, opened[..., None], closed[..., None])
-    up, down = _gain_margins(turns, distances, opened, closed)
-    phase, delay = _lags(turns, distances, opened, closed)
-    modulus = _least_distance(turns, np.abs(distances), opened, closed)
-    columns = up, down, np.degrees(phase), delay, modulus
-    return Margins(np.abs(closed_z).max(axis=-1) < 1, *(column.reshape(front) for column in columns))
+    """Margins of n loops with these poles z before and after closing, each of shape (n, m)."""
+    count = len(open_z)
+    opened, closed, every = open_z.T, closed_z.T, np.arange(count)
 
+    def one_plus_loop(turns: Floats, loops: Integers) -> Poles:
+        """1 + L at w T = turns; the product goes pole by pole, so that it neither over- nor underflows."""
+        z = np.exp(1j * turns)
+        total = np.ones_like(z)
+        for p, q in zip(opened, closed, strict=True):
+            total *= (z - q[loops]) / (z - p[loops])
+        return total
 
-def _one_plus_loop(turns: Floats, open_z: Poles, closed_z: Poles) -> Poles:
-    """1 + L at w T = turns, of poles along the first axis."""
-    z = np.exp(1j * turns)
-    total = np.ones_like(z)
-    for opened, closed in zip(open_z, closed_z, strict=True):
-        total *= (z - closed) / (z - opened)
-    return total
+    turns = _grid(open_z, closed_z)
+    distances = one_plus_loop(turns, every[:, None])
+
+    def crossings(beyond: Callable[[Poles], Floats]) -> tuple[Integers, Floats, Poles]:
+        """Loops, w T below pi, and 1 + L where a function of it changes its sign."""
+        signs = np.sign(beyond(distances))
+        loops, k = np.nonzero((signs[:, :-1] * signs[:, 1:] < 0) & (turns[:, 1:] < np.pi))  # at pi L is real
+        bracket = turns[loops, k], turns[loops, k + 1]
+        at = find_root(lambda turn, loop: beyond(one_plus_loop(turn, loop)), bracket, args=(loops,)).x
+        return loops, at, one_plus_loop(at, loops)
+
+    loops, at, value = crossings(lambda distance: np.abs(distance - 1) - 1)  # where |L| = 1
+    lags = np.angle(1 - value)
+    phase, delay = np.full(count, np.pi), np.full(count, np.inf)
+    np.minimum.at(phase, loops, np.abs(lags))
+    np.minimum.at(delay, loops, lags % (2 * np.pi) / at)
+
+    loops, _, value = crossings(lambda distance: distance.imag)  # where L is real; it is at 0 and pi, too
+    finite = np.flatnonzero(np.abs(open_z - 1).min(axis=1) > _INTEGRATES)
+    ends = one_plus_loop(np.full(count, np.pi), every), one_plus_loop(np.zeros(len(finite)), finite)
+    loops = np.concatenate([loops, every, finite])
+    with np.errstate(divide="ignore"):
+        factors = -1 / (np.concatenate([value, *ends]).real - 1)
+    up, down = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(up, loops, np.where(factors > 1, factors, np.inf))
+    np.maximum.at(down, loops, np.where(factors < 1, factors, 0.0))
+
+    least = np.abs(distances).argmin(axis=1)
+    bracket = tuple(turns[every, np.clip(least + step, 0, turns.shape[1] - 1)] for step in (-1, 0, 1))
+    with np.errstate(invalid="ignore"):  # at an end of the grid there is no bracket
+        found = find_minimum(lambda turn, loop: np.abs(one_plus_loop(turn, loop)), bracket, args=(every,))
+    modulus = np.fmin(np.abs(distances[every, least]), found.f_x)
+    return Margins(np.abs(closed_z).max(axis=1) < 1, up, down, np.degrees(phase), delay, modulus)
 
 
 def _grid(open_z: Poles, closed_z: Poles) -> Floats:
     """Frequencies w T of n loops in rising order, many near the poles, and pi as often as it takes; shape (n, k)."""
-    poles = np.concatenate([open_z, closed_z]).T
+    poles = np.concatenate([open_z, closed_z], axis=1)
     turn, away = np.angle(poles), np.abs(1 - np.abs(poles))
     # Not of real poles, of the other one of a pair, nor of those so well damped that the response is smooth.
     looked_at = (turn > 0) & (away <= 0.3 * turn)
@@ -85,67 +116,3 @@ def _grid(open_z: Poles, closed_z: Poles) -> Floats:
     everywhere = np.broadcast_to(_TURNS, (len(poles), len(_TURNS)))
     turns = np.sort(np.hstack([everywhere, np.where(within, near, np.pi)]))
     return turns[:, : len(_TURNS) + within.sum(axis=1).max()]
-
-
-def _on_circle(distance: Poles) -> Floats:
-    """What changes its sign where L crosses the unit circle."""
-    return np.abs(distance - 1) - 1
-
-
-def _on_axis(distance: Poles) -> Floats:
-    """What changes its sign where L crosses the real axis."""
-    return distance.imag
-
-
-def _crossings(
-    beyond: Callable[[Poles], Floats], turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles
-) -> tuple[Integers, Floats]:
-    """Find, by bisection, where the sign of a function of 1 + L changes: loops, and w T below pi."""
-    signs = np.sign(beyond(distances))
-    loops, k = np.nonzero((signs[:, :-1] * signs[:, 1:] < 0) & (turns[:, 1:] < np.pi))  # at pi L is real
-    low, high, start = turns[loops, k], turns[loops, k + 1], signs[loops, k]
-    opened, closed = open_z[:, loops], closed_z[:, loops]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        same = start * beyond(_one_plus_loop(middle, opened, closed)) > 0
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return loops, 0.5 * (low + high)
-
-
-def _gain_margins(turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles) -> tuple[Floats, Floats]:
-    """Gain margins up and down: from where L is real, at 0 and pi too."""
-    count = len(turns)
-    crossing, at = _crossings(_on_axis, turns, distances, open_z, closed_z)
-    finite = np.flatnonzero(np.abs(open_z - 1).min(axis=0) > _INTEGRATES)
-    loops = np.concatenate([crossing, np.arange(count), finite])
-    places = np.concatenate([at, np.full(count, np.pi), np.zeros(len(finite))])
-    with np.errstate(divide="ignore"):
-        factors = -1 / (_one_plus_loop(places, open_z[:, loops], closed_z[:, loops]).real - 1)
-    up, down = np.full(count, np.inf), np.zeros(count)
-    np.minimum.at(up, loops, np.where(factors > 1, factors, np.inf))
-    np.maximum.at(down, loops, np.where(factors < 1, factors, 0.0))
-    return up, down
-
-
-def _lags(turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles) -> tuple[Floats, Floats]:
-    """Phase margins [rad] and delay margins [samples]."""
-    loops, at = _crossings(_on_circle, turns, distances, open_z, closed_z)
-    lags = np.angle(1 - _one_plus_loop(at, open_z[:, loops], closed_z[:, loops]))
-    phase, delay = np.full(len(turns), np.pi), np.full(len(turns), np.inf)
-    np.minimum.at(phase, loops, np.abs(lags))
-    np.minimum.at(delay, loops, lags % (2 * np.pi) / at)
-    return phase, delay
-
-
-def _least_distance(turns: Floats, distances: Floats, open_z: Poles, closed_z: Poles) -> Floats:
-    """Least |1 + L|: that on the grid, refined by a golden section between its neighbours."""
-    loops, least = np.arange(len(turns)), distances.argmin(axis=1)
-    low = turns[loops, np.maximum(least - 1, 0)]
-    high = turns[loops, np.minimum(least + 1, turns.shape[1] - 1)]
-    best, share = distances[loops, least], 0.5 * (np.sqrt(5.0) - 1)
-    for _ in range(_BISECTIONS):
-        left, right = high - share * (high - low), low + share * (high - low)
-        at_left, at_right = (np.abs(_one_plus_loop(place, open_z, closed_z)) for place in (left, right))
-        best = np.minimum(best, np.minimum(at_left, at_right))
-        low, high = np.where(at_left < at_right, low, left), np.where(at_left < at_right, right, high)
-    return best

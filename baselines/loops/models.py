@@ -26,31 +26,19 @@ Poles = NDArray[np.complex128]
 
 
 class System(NamedTuple):
-    """A linear system from one input to one output: x+ = A x + b u, y = c x + d u; leading axes of all are the same."""
+    """A linear system from one input to one output: x+ = A x + b u, y = c x + d u."""
 
-    a: Floats  # (..., m, m)
-    b: Floats  # (..., m)
-    c: Floats  # (..., m)
-    d: Floats  # (...)
+    a: Floats  # (m, m)
+    b: Floats  # (m,)
+    c: Floats  # (m,)
+    d: float
 
 
 class Loop(NamedTuple):
-    """A loop: what is cut is the command between law and arm; leading axes of both broadcast."""
+    """A loop: what is cut is the command between law and arm."""
 
     law: System  # C, from motor angle [rad] to command [N m]
     arm: System  # P, back
-
-
-def stacked(systems: Sequence[System]) -> System:
-    """Systems along a new first axis; the smaller ones get states that nothing depends on."""
-    size = max(system.a.shape[-1] for system in systems)
-    return System(*(np.stack(parts) for parts in zip(*(_padded(system, size) for system in systems), strict=True)))
-
-
-def _padded(system: System, size: int) -> System:
-    more, front = (0, size - system.a.shape[-1]), [(0, 0)] * system.d.ndim
-    b, c = (np.pad(part, [*front, more]) for part in (system.b, system.c))
-    return System(np.pad(system.a, [*front, more, more]), b, c, system.d)
 
 
 def sampled_arm(params: ArmParams, theta_1: float, model: str = "lumped") -> System:
@@ -62,7 +50,7 @@ def sampled_arm(params: ArmParams, theta_1: float, model: str = "lumped") -> Sys
         model: Whose equations of motion it has, as of `state_space`.
     """
     a, b, c = sampled_state_space(params, theta_1, model)
-    return System(a, b[:, 0], c[0], np.array(0.0))
+    return System(a, b[:, 0], c[0], 0.0)
 
 
 def law_system(law: Law) -> System:
@@ -78,14 +66,14 @@ def law_system(law: Law) -> System:
     return System(images[:size, :size], images[:size, size], images[size, :size], images[size, size])
 
 
-def arms_at_angles(arms: Sequence[ArmParams]) -> System:
-    """Each arm at each of `ANGLES`; leading axes (n, 46)."""
-    return stacked([stacked([sampled_arm(params, float(angle)) for angle in ANGLES]) for params in arms])
+def laws_at_angles(controller: Any) -> list[System]:
+    """The law of a controller at each of `ANGLES`."""
+    return [law_system(law_of(controller, k)) for k in range(len(ANGLES))]
 
 
-def laws_at_angles(controller: Any) -> System:
-    """The law of a controller at each of `ANGLES`; leading axis (46,)."""
-    return stacked([law_system(law_of(controller, k)) for k in range(len(ANGLES))])
+def arms_at_angles(params: ArmParams) -> list[System]:
+    """An arm at each of `ANGLES`."""
+    return [sampled_arm(params, float(angle)) for angle in ANGLES]
 
 
 def loop_at(controller: Any, k: int, params: ArmParams | None = None) -> Loop:
@@ -93,31 +81,27 @@ def loop_at(controller: Any, k: int, params: ArmParams | None = None) -> Loop:
     return Loop(law_system(law_of(controller, k)), sampled_arm(params or controller.params, float(ANGLES[k])))
 
 
-def closed_loop(loop: Loop, gain: float = 1.0) -> Floats:
-    """State matrix of the closed loop, arm and law, with L multiplied by a gain; shape (..., m, m)."""
-    law, arm = loop
-    front = np.broadcast_shapes(law.d.shape, arm.d.shape)
-    split = arm.a.shape[-1]
-    size = split + law.a.shape[-1]
-    matrix = np.empty((*front, size, size))
-    by_command = gain * arm.b[..., :, None]
-    matrix[..., :split, :split] = arm.a + by_command * (law.d[..., None] * arm.c)[..., None, :]
-    matrix[..., :split, split:] = by_command * law.c[..., None, :]
-    matrix[..., split:, :split] = law.b[..., :, None] * arm.c[..., None, :]
-    matrix[..., split:, split:] = law.a
-    return matrix
-
-
 def closed_poles(loop: Loop, gain: float = 1.0) -> Poles:
-    """Poles z of the closed loop, with L multiplied by a gain; shape (..., m)."""
-    return np.linalg.eigvals(closed_loop(loop, gain)).astype(np.complex128)
+    """Poles z of the closed loop, with L multiplied by a gain; shape (m,)."""
+    law, arm = loop
+    by_command = gain * arm.b[:, None]
+    rows = [[arm.a + by_command * (law.d * arm.c), by_command * law.c], [law.b[:, None] * arm.c, law.a]]
+    return np.linalg.eigvals(np.block(rows)).astype(np.complex128)
 
 
 def open_poles(loop: Loop) -> Poles:
-    """Poles z of L: those of the arm and of the law; shape (..., m)."""
-    parts = [np.linalg.eigvals(system.a).astype(np.complex128) for system in (loop.arm, loop.law)]
-    front = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
-    return np.concatenate([np.broadcast_to(part, (*front, part.shape[-1])) for part in parts], axis=-1)
+    """Poles z of L: those of the arm and of the law; shape (m,)."""
+    return np.concatenate([np.linalg.eigvals(loop.arm.a), np.linalg.eigvals(loop.law.a)]).astype(np.complex128)
+
+
+def poles_of(loops: Sequence[Loop]) -> tuple[Poles, Poles]:
+    """Open and closed poles z of n loops, shape (n, m) each; loops of a lower order have poles at 0 in both."""
+    size = max(len(law.a) + len(arm.a) for law, arm in loops)
+    both = np.zeros((2, len(loops), size), np.complex128)
+    for i, loop in enumerate(loops):
+        for poles, found in zip(both[:, i], (open_poles(loop), closed_poles(loop)), strict=True):
+            poles[: len(found)] = found
+    return both[0], both[1]
 
 
 def is_stable(loop: Loop, gain: float = 1.0) -> bool:

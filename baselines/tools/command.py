@@ -55,6 +55,12 @@ def this_python() -> str:
     return shlex.quote(str(Path(sys.executable).relative_to(Path.cwd()) if inside else sys.executable))
 
 
+def resume_command(script: str) -> str:
+    """Return the command that goes on with the work of the command that runs."""
+    told = [word for word in sys.argv[1:] if word not in ("--resume", "--overwrite")]
+    return f"{this_python()} {shlex.join([script, *told, '--resume'])}"
+
+
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
     """Exit with the name of a package that is not installed, and how to install it."""
     package = (error.name or "a package").split(".")[0]

@@ -36,7 +36,21 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         OSError: If the folder cannot be written to or is full, naming `path`, which is then as it was.
     """
     with errors_about(path):  # which it is to be, not a temporary name
-        _write_atomically(path, write)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        prefix = f".{path.stem}-"
+        for left in path.parent.glob(f"{escape(prefix)}*{path.suffix}"):
+            with suppress(FileNotFoundError):
+                if time.time() - left.stat().st_mtime > _ABANDONED:
+                    left.unlink()
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            write(temporary)
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -50,22 +64,9 @@ def errors_about(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    prefix = f".{path.stem}-"
-    for left in path.parent.glob(f"{escape(prefix)}*{path.suffix}"):
-        with suppress(FileNotFoundError):
-            if time.time() - left.stat().st_mtime > _ABANDONED:
-                left.unlink()
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 class Unsealed(ValueError):  # noqa: N818
@@ -123,11 +124,6 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
         if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
             raise ValueError(f"its {name} is no array of finite numbers")
     return arrays
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def replace_folder(folder: Path, made: Path) -> None:

@@ -5,7 +5,8 @@ The docstring under a field says what the option does. A dataclass may sort its 
     groups: ClassVar[Groups] = {"basic": ("out", "seed"), "algorithm": (), "run": ("jobs",)}
 
 A group holds the options that it names, and an empty one all that no group names. To tyro a group is a dataclass within
-a dataclass; such dataclasses are made here, so that commands work with one flat dataclass.
+a dataclass; such dataclasses are made here, so that commands work with one flat dataclass. tyro leaves usage and
+description as lines of any length, up to 450 characters; here they are wrapped.
 """
 
 from __future__ import annotations
@@ -94,7 +95,8 @@ def _shaped(kind: type[Any], groups: Mapping[str, Iterable[Field[Any]]]) -> type
 
     def part(name: str, members: Iterable[Field[Any]]) -> type[Any]:
         shown = [
-            (each.name, _shown(hints[each.name], texts.get(each.name, "")), _same_default(each)) for each in members
+            (each.name, _shown(hints[each.name], texts.get(each.name, "")), field(default=each.default))
+            for each in members
         ]
         return make_dataclass(name, shown, kw_only=True)
 
@@ -103,14 +105,10 @@ def _shaped(kind: type[Any], groups: Mapping[str, Iterable[Field[Any]]]) -> type
     return make_dataclass(kind.__name__, [(name, part(name, members)) for name, members in groups.items()])
 
 
-def _same_default(option: Field[Any]) -> Any:
-    return field(default=option.default, default_factory=option.default_factory)  # pyright: ignore[reportCallIssue]
-
-
 def _texts(kind: type[Any]) -> dict[str, str]:
     """Docstrings of the fields, those of base classes included."""
     found = [docstring_parser.parse_from_object(base).params for base in reversed(kind.__mro__[:-1])]
-    return {param.arg_name: _joined(param.description or "") for params in found for param in params}
+    return {param.arg_name: _joined(param.description) for params in found for param in params}
 
 
 def _shown(hint: Any, text: str) -> Any:
@@ -126,8 +124,8 @@ def _default_text(default: str) -> str:
     return "" if default in _SAID_OTHERWISE else f"(default: {default.removeprefix(f'{Path.cwd()}{os.sep}')})"
 
 
-def _joined(text: str) -> str:
-    return " ".join(text.split())
+def _joined(text: str | None) -> str:
+    return " ".join((text or "").split())
 
 
 def _paragraphs(text: str | None) -> str:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
 
 _Thing = TypeVar("_Thing")
 
@@ -31,8 +31,10 @@ def progress_rows(names: Iterable[str], total: float, console: Console | None = 
     """Show a row for each name, which is full at `total`."""
     columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
     display = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console)
-    with _stopped_if_begun(display):
+    try:
         yield ProgressRows(display, names, total)
+    finally:
+        _stop(display)
 
 
 @contextmanager
@@ -45,24 +47,19 @@ def progress_count(name: str, console: Console) -> Iterator[Callable[[int, int],
         display.update(row, completed=done, total=total)
         display.start()
 
-    with _stopped_if_begun(display):
-        yield show
-
-
-def progress_over(name: str, things: Iterable[_Thing], console: Console | None = None) -> Iterator[_Thing]:
-    """Go through things, and show on a terminal how many are done; by default on that of the errors."""
-    all_of_them = list(things)
-    with progress_count(name, console or Console(stderr=True)) as show:
-        for done, thing in enumerate(all_of_them):
-            show(done, len(all_of_them))
-            yield thing
-
-
-@contextmanager
-def _stopped_if_begun(display: Progress) -> Iterator[None]:
-    """Stop a display that has begun; one that has not would leave an empty line."""
     try:
-        yield
+        yield show
     finally:
-        if display.live.is_started:
-            display.stop()
+        _stop(display)
+
+
+def progress_over(name: str, things: Iterable[_Thing], console: Console | None = None) -> Iterable[_Thing]:
+    """Go through things, and show on a terminal how many are done; by default on that of the errors."""
+    console = console or Console(stderr=True)
+    return track(list(things), name, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _stop(display: Progress) -> None:
+    """Stop a display that has begun; one that has not would leave an empty line."""
+    if display.live.is_started:
+        display.stop()

@@ -60,16 +60,15 @@ def _git(*words: str | Path) -> str:
         OSError: If there is no git, or another repository would answer.
         CalledProcessError: If git cannot answer.
     """
-    if _ask("rev-parse", "--show-prefix") or not _ask("ls-files", "--", Path(__file__).resolve()):
-        raise FileNotFoundError(f"{_ROOT} is not a checkout of its own")
-    return _ask(*words)
-
-
-def _ask(*words: str | Path) -> str:
-    """What git says in the folder of these sources, whatever repository that is in."""
     environment = {name: value for name, value in os.environ.items() if name not in _OF_ANOTHER}
-    found = subprocess.run(["git", *words], cwd=_ROOT, env=environment, capture_output=True, text=True, check=True)
-    return found.stdout.strip()
+
+    def ask(*words: str | Path) -> str:
+        found = subprocess.run(["git", *words], cwd=_ROOT, env=environment, capture_output=True, text=True, check=True)
+        return found.stdout.strip()
+
+    if ask("rev-parse", "--show-prefix") or not ask("ls-files", "--", Path(__file__).resolve()):
+        raise FileNotFoundError(f"{_ROOT} is not a checkout of its own")
+    return ask(*words)
 
 
 def code_and_packages() -> str:

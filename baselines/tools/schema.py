@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 from jsonschema import Draft202012Validator, validators
 
 TEXT, INTEGER, NUMBER, FLAG = ({"type": name} for name in ("string", "integer", "number", "boolean"))
 _LARGEST = 2**63 - 1
-_TYPES = {
-    "object": "an object",
-    "array": "a list",
-    "string": "a text",
-    "integer": "an integer",
-    "number": "a finite number",
-    "boolean": "true or false",
-}
 
 
 def object_of(may_lack: tuple[str, ...] = (), /, **properties: Any) -> dict[str, Any]:
@@ -52,14 +43,8 @@ def in_a_line(value: object, most: int = 200) -> str:
 
 def loads(text: str, **options: Any) -> Any:
     """Read JSON as `json.loads` does; what is nested too deeply is none, and raises ValueError as well."""
-    with _of_bounded_depth():
-        return json.loads(text, **options)
-
-
-@contextmanager
-def _of_bounded_depth() -> Iterator[None]:
     try:
-        yield
+        return json.loads(text, **options)
     except RecursionError as error:
         raise ValueError(str(error)) from None
 
@@ -71,8 +56,10 @@ def parse(data: bytes) -> Any:
         ValueError: If it is none, or has a number that is not finite or takes more than 64 bits.
     """
     content = loads(data.decode("utf-8"), parse_constant=_number, parse_float=_number, parse_int=_number)
-    with _of_bounded_depth():
+    try:
         json.dumps(content, ensure_ascii=False).encode("utf-8")  # which halves of characters cannot be
+    except RecursionError as error:
+        raise ValueError(str(error)) from None
     return content
 
 
@@ -87,14 +74,8 @@ def _is_finite(_: object, value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
-def _step(part: str | int) -> str:
-    """A step to a place in the content, in words without line breaks."""
-    return f"[{part}]" if isinstance(part, int) else f": {part if part.isprintable() else repr(part)}"
-
-
-_Validator = validators.extend(
-    Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
-)
+_TYPES = Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
+_Validator = validators.extend(Draft202012Validator, type_checker=_TYPES)
 
 
 def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
@@ -109,11 +90,10 @@ def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
         ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
     """
     for error in _Validator(schema).iter_errors(content):
-        place = where + in_a_line("".join(map(_step, error.absolute_path)), 100)
-        wanted: Any = error.validator_value
+        place, wanted = f"{where}: {in_a_line(error.json_path, 100)}", error.validator_value
         if error.validator == "required":
-            raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
-        if error.validator not in ("enum", "type"):
-            raise ValueError(f"{place}: {in_a_line(error.message, 120)}")
-        words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
-        raise ValueError(f"{place} must be {words}, got {in_a_line(error.instance, 80)!r}")
+            raise ValueError(f"{place}.{next(name for name in wanted if name not in error.instance)} must be there")
+        rule = f"of {error.validator} {in_a_line(wanted, 80)}".replace("type number", "type finite number")
+        if error.validator == "enum":
+            rule = f"one of {', '.join(wanted)}"
+        raise ValueError(f"{place} must be {rule}, got {in_a_line(error.instance, 80)!r}")

@@ -3,18 +3,17 @@
 **Objective.** The mean episode cost (`beltarm_env.task.cost`) over arms of the training ranges with random moves. An
 arm that leaves its workspace is charged as everywhere; a controller that fails counts as the highest cost there is.
 No motor is to be hammered: an arm whose torque reverses more than ten times a second, by over 10 % of its limit, is
-charged its cost in proportion (`race.charged`).
+charged its cost in proportion (`charged`).
 
 **Search.** A tree-structured Parzen estimator [1] proposes gains, the untuned ones first. Every trial meets the same
 arms in the same order, so that trials are compared arm by arm. On n arms, with differences d_i in cost to the best,
 
     estimated cost = mean cost of the best trial on all its arms + mean(d)
 
-is what the estimator learns from, and a trial is pruned (it has lost the race [2]) where
-
-    mean(d) > MARGIN std(d) / sqrt(n),
-
-which is looked at after each of `RUNGS` arms.
+is what the estimator learns from. After each of `RUNGS` arms a trial is pruned if Wilcoxon's signed-rank test says
+that it is worse than the best one. The test looks at ranks; costs have long tails and their mean is what counts, so a
+trial whose estimated cost is lower goes on. Optuna's `WilcoxonPruner` makes the same test, but wants the cost of every
+arm reported, each a write to the journal: 4 ms, or 70 on a busy disk, where an arm is simulated in 6 ms.
 
 **Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
 and the untuned gains, on other arms; the best of these is the result, and its cost there is what is reported.
@@ -23,41 +22,54 @@ and the untuned gains, on other arms; the best of these is the result, and its c
 fall short is noted as a constraint, by which the estimator ranks them, and behind all that were not refused. A search
 ends after `MAX_REFUSED` of them. The untuned gains have to pass.
 
-The budget counts simulated control periods of single arms, those of pruned and failed trials too. It is never exceeded.
+The budget counts simulated control periods of single arms, those of pruned, failed and interrupted trials too. It is
+never exceeded.
 
 [1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
-[2] Maron, Moore: Hoeffding Races: Accelerating Model Selection Search, NeurIPS 1993.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
+from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
+from scipy.stats import wilcoxon
 
 from baselines.engines.parallel import Channel, Interrupted
-from baselines.gains import Tunable
+from baselines.gains import Gains, Tunable
 from baselines.loops.condition import MarginCondition, least_margins
+from baselines.registry import TUNABLE
 from baselines.tools.files import errors_about
-from baselines.tuning.race import FINALISTS, RUNGS, charged, estimate, hopeless, split_budget
-from baselines.tuning.study import open_study, own, rounded, space
+from baselines.tuning.study import ask, open_study, own, repeat_interrupted
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
+RUNGS = (32, 64, 128)
+"""Arms that a trial has run on when it is compared with the best; after the last it is complete."""
+SIGNIFICANCE = 0.1
+"""Level p of the test by which a trial is pruned."""
+FINALISTS = 7
+MOST_REVERSALS = 10.0
+"""Of an arm's torque [1/s], beyond which its cost is charged in proportion."""
+MAX_CHOICE_ARMS = 1000
+MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
+"""Steps for one trial and a choice."""
 MAX_REFUSED = 2000
 """Proposals that fall short of the margins, after which a search ends."""
 WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
-_WITHOUT_LOOP = 2.0
-"""Shortfall of gains that make no controller or no loop: beyond that of any loop."""
+_WITHOUT_LOOP = 2.0  # shortfall of gains that make no controller or no loop: beyond that of any loop
+_COSTS, _FAILURE = "costs", "failure"  # attributes of a complete trial, and of one in which the controller failed
 
 
 class SearchProgress(NamedTuple):
@@ -73,15 +85,84 @@ class SearchResult:
     """Result of a search, and its effort."""
 
     gains: dict[str, float]
-    cost: float  # mean episode cost over the arms of the choice
-    cost_untuned: float  # of the untuned gains on the same arms
     arms: int  # of the choice
     steps: int  # simulated, of all trials and the choice
     trials: int
     pruned: int
     failed: int  # trials in which the controller raised an error or returned NaN
     refused: int  # proposals that fell short of the margins; not among the trials
+    cost: float  # mean episode cost over the arms of the choice
+    cost_untuned: float  # of the untuned gains on the same arms
     seconds: float  # of trials and choice
+
+
+def split_budget(budget: int) -> tuple[int, int]:
+    """Divide a budget: steps of the search, and arms on which each finalist and the untuned gains run in the choice.
+
+    Raises:
+        ValueError: If the budget is too small.
+    """
+    if budget < MIN_BUDGET:
+        raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
+    each = (FINALISTS + 1) * EPISODE_STEPS
+    arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
+    return budget - arms * each, arms
+
+
+def charged(costs: Floats, reversals: Floats) -> Floats:
+    """Charge arms whose torque reverses more than `MOST_REVERSALS` times a second [1/s]: in proportion."""
+    return costs * np.maximum(1.0, reversals / MOST_REVERSALS)
+
+
+def estimate(costs: Floats, best: Floats) -> float:
+    """Estimate a trial's mean cost on all arms from those that it has run on, and the best trial so far.
+
+    Args:
+        costs: Of the trial, shape (n,).
+        best: Of the best trial, shape (at least n,); empty if there is none.
+    """
+    if len(costs) == RUNGS[-1] or not len(best):
+        return float(costs.mean())
+    return float(best.mean() + (costs - best[: len(costs)]).mean())
+
+
+def hopeless(costs: Floats, best: Floats) -> bool:
+    """Whether a trial is worse than the best one, arm by arm and by its estimate; arguments as those of `estimate`."""
+    if not len(best) or estimate(costs, best) <= best.mean():
+        return False
+    test: Any = wilcoxon(costs - best[: len(costs)], alternative="greater", zero_method="zsplit")
+    return bool(test.pvalue < SIGNIFICANCE)
+
+
+def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
+    """Distributions of all gains."""
+    ranges = {gain.name: gain.metadata for gain in fields(kind)}
+    return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
+
+
+def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
+    """Gains rounded to six significant digits, as they are written to the file."""
+    near = {name: float(f"{value:.6g}") for name, value in params.items()}
+    ranges = {gain.name: gain.metadata for gain in fields(kind)}
+    return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
+
+
+def open_search(kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None) -> optuna.Study:
+    """Open the study of a search, or begin one with the untuned gains; what was interrupted is to be repeated.
+
+    Raises:
+        ValueError: If the journal is damaged, or was begun with another seed, other gains or other margins.
+    """
+    begun = {
+        "seed": seed,
+        "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
+        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
+    }
+    study = open_study(journal, begun, optuna.pruners.NopPruner(), remedy="tune anew, without --resume")
+    repeat_interrupted(study)
+    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.WAITING)):
+        study.enqueue_trial(asdict(kind()))
+    return study
 
 
 def search(
@@ -108,34 +189,31 @@ def search(
         OSError: If the journal cannot be written.
         Interrupted: If asked to stop; the journal is in order.
     """
-    parts = split_budget(budget)
+    steps, arms = split_budget(budget)
     with own(journal), errors_about(journal):
-        study = open_study(tunable.gains, seed, journal, condition)
+        study = open_search(tunable.gains, seed, journal, condition)
         if study.user_attrs.get("budget") == budget:
             return SearchResult(**study.user_attrs["found"])
         run = _Search(tunable, study, channel or Channel(), condition)
-        if run.steps > parts.search:
+        if run.steps > steps:
             raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
-        while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search and run.refused < MAX_REFUSED:
-            run.trial(parts.search)
-        found = run.choose(parts.arms)
+        while run.steps + RUNGS[-1] * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
+            run.trial(seed)
+        found = run.choose(arms)
         study.set_user_attr("found", asdict(found))
         study.set_user_attr("budget", budget)
     return found
 
 
-class _FailureError(Exception):
-    """Raised where a controller fails or returns no finite torque."""
+def search_in(
+    name: str, folder: Path, channel: Channel, *, budget: int, seed: int, condition: MarginCondition | None
+) -> SearchResult:
+    """Search for a controller's gains with the journal in a folder, as a task; see `search`."""
+    return search(TUNABLE[name], budget, seed, folder / f"{name}.journal", channel, condition)
 
 
 class _Search:
     """Trials of one search, and the choice among them.
-
-    Args:
-        tunable: Controller and gains to tune.
-        study: Where trials are kept; a complete one has the `costs` of its arms, a failed one its `failure`.
-        channel: Gets a `SearchProgress` after every batch of arms.
-        condition: Margins that the loop has to keep; None for none.
 
     Raises:
         ValueError: If the untuned gains fall short of the margins, or there is no linear law.
@@ -144,54 +222,42 @@ class _Search:
     def __init__(
         self, tunable: Tunable, study: optuna.Study, channel: Channel, condition: MarginCondition | None
     ) -> None:
-        self._tunable = tunable
+        self._tunable, self._study, self._channel, self._condition = tunable, study, channel, condition
         self._untuned = asdict(tunable.gains())
-        self._study = study
-        self._channel = channel
         self._space = space(tunable.gains)
-        self._condition = condition
         self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
-        self.refused = sum(trial.state is TrialState.PRUNED for trial in self._trials())
-        if condition is not None:
-            untuned = tunable.controller(tunable.gains())
-            if condition.shortfall(untuned) > 0:
-                raise ValueError(
-                    f"the untuned gains fall short of the margins asked for, {least_margins(untuned, condition.arms)}: "
-                    f"change the defaults of {tunable.gains.__name__}"
-                )
+        self.refused = len(self._trials(TrialState.PRUNED))
+        if condition is not None and condition.shortfall(tunable.controller(tunable.gains())) > 0:
+            least = least_margins(tunable.controller(tunable.gains()), condition.arms)
+            remedy = f"change the defaults of {tunable.gains.__name__}"
+            raise ValueError(f"the untuned gains fall short of the margins asked for, {least}: {remedy}")
 
-    def trial(self, limit: int) -> None:
-        """Run one trial until it is complete, pruned, or at the limit of steps; none of a proposal that is refused."""
+    def trial(self, seed: int) -> None:
+        """Run one trial until it is complete or pruned; none of a proposal that is refused."""
         complete = self._complete()
-        best = np.array(complete[0].user_attrs["costs"] if complete else [])
-        trial = self._study.ask(self._space)
-        if self._refuses(trial):
+        best = np.array(complete[0].user_attrs[_COSTS] if complete else [])
+        trial = ask(self._study, self._space, seed)
+        if self._condition is not None and self._refuses(trial, self._condition):
             return
         costs, value = np.empty(0), WORST
-        for arms in RUNGS:
-            if self.steps + (arms - len(costs)) * EPISODE_STEPS > limit:
-                break
+        for first, end in pairwise((0, *RUNGS)):
             try:
-                batch = self._costs(trial.params, GAIN_SEARCH.first + len(costs), arms - len(costs))
-                costs = np.concatenate([costs, batch])
+                costs = np.append(costs, self._costs(trial.params, GAIN_SEARCH.first + first, end - first))
                 value = estimate(costs, best)
             except _FailureError as failure:
-                trial.set_user_attr("failure", str(failure))
+                trial.set_user_attr(_FAILURE, str(failure))
                 value = WORST
-            trial.report(value, arms)
+            trial.report(value, end)
             if value == WORST or hopeless(costs, best):
                 break
         if len(costs) == RUNGS[-1]:
-            trial.set_user_attr("costs", costs.tolist())
+            trial.set_user_attr(_COSTS, costs.tolist())
         self._study.tell(trial, value)
 
-    def _refuses(self, trial: optuna.Trial) -> bool:
+    def _refuses(self, trial: optuna.Trial, condition: MarginCondition) -> bool:
         """Whether a proposal falls short of the margins; by how much is noted with the trial, which then ends."""
-        if self._condition is None:
-            return False
         try:
-            gains = rounded(trial.params, self._tunable.gains)
-            shortfall = self._condition.shortfall(self._tunable.controller(gains))
+            shortfall = condition.shortfall(self._tunable.controller(rounded(trial.params, self._tunable.gains)))
         except Exception:  # whatever it is, these gains are no good
             shortfall = _WITHOUT_LOOP
         trial.set_constraint("margins", shortfall)
@@ -205,29 +271,28 @@ class _Search:
         """Run the finalists and the untuned gains on other arms, and choose the best."""
         began = time.perf_counter()
         candidates = [self._untuned, *(trial.params for trial in self._complete()[:FINALISTS])]
-        costs = [self._mean_cost(params, arms) for params in candidates]
+        costs = list[float]()
+        for params in candidates:
+            try:
+                costs.append(float(self._costs(params, GAIN_CHOICE.first, arms).mean()))
+            except _FailureError:
+                costs.append(WORST)
         best = int(np.argmin(costs))
-        trials = [trial for trial in self._trials() if trial.state is TrialState.COMPLETE]
-        failed = sum("failure" in trial.user_attrs for trial in trials)
+        trials = self._trials(TrialState.COMPLETE)
+        failed = sum(_FAILURE in trial.user_attrs for trial in trials)
+        seconds = sum(trial.duration.total_seconds() for trial in trials if trial.duration)
         return SearchResult(
             gains=asdict(rounded(candidates[best], self._tunable.gains)),
-            cost=costs[best],
-            cost_untuned=costs[0],
             arms=arms,
             steps=self.steps,
             trials=len(trials),
             pruned=len(trials) - len(self._complete()) - failed,
             failed=failed,
             refused=self.refused,
-            seconds=sum(_seconds(trial) for trial in trials) + time.perf_counter() - began,
+            cost=round(costs[best], 2),
+            cost_untuned=round(costs[0], 2),
+            seconds=round(seconds + time.perf_counter() - began, 1),
         )
-
-    def _mean_cost(self, params: dict[str, float], arms: int) -> float:
-        """Mean cost on the arms of the choice."""
-        try:
-            return float(self._costs(params, GAIN_CHOICE.first, arms).mean())
-        except _FailureError:
-            return WORST
 
     def _costs(self, params: dict[str, float], seed: int, arms: int) -> Floats:
         """Episode costs of arms with consecutive seeds."""
@@ -246,20 +311,20 @@ class _Search:
 
     def _report(self) -> None:
         """Tell how far the search is, and end if asked to."""
-        complete = self._complete()
-        best = (complete[0].value if complete else None) or np.inf
-        self._channel.report(SearchProgress(self.steps, len(self._trials()) - self.refused, best))
+        best = next((trial.value for trial in self._complete() if trial.value is not None), np.inf)
+        trials = len(self._trials(TrialState.COMPLETE, TrialState.RUNNING))
+        self._channel.report(SearchProgress(self.steps, trials, best))
         if self._channel.stop.made:
             raise Interrupted("interrupted")
 
-    def _trials(self) -> list[FrozenTrial]:
-        return self._study.get_trials(deepcopy=False)
+    def _trials(self, *states: TrialState) -> list[FrozenTrial]:
+        return self._study.get_trials(deepcopy=False, states=states or None)
 
     def _complete(self) -> list[FrozenTrial]:
         """Trials that ran on all arms, the best first."""
-        complete = [trial for trial in self._trials() if "costs" in trial.user_attrs and trial.value is not None]
+        complete = [trial for trial in self._trials(TrialState.COMPLETE) if _COSTS in trial.user_attrs]
         return sorted(complete, key=lambda trial: trial.value or 0.0)
 
 
-def _seconds(trial: FrozenTrial) -> float:
-    return trial.duration.total_seconds() if trial.duration else 0.0
+class _FailureError(Exception):
+    """Raised where a controller fails or returns no finite torque."""

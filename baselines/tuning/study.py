@@ -1,40 +1,35 @@
-"""Optuna study of a search: its ranges, and the journal that stores it."""
+"""Optuna studies in journals that go on after an interruption as if there had been none.
+
+Optuna keeps the trials, proposes and prunes. Three things are added. A process locks its journal, since Optuna lets
+several write to one. A line that was cut off is taken away, since Optuna would write on in it. And a trial that was
+interrupted is run again: Optuna's `RetryHeartbeatStaleTrialCallback` does that in databases alone, after a wait for a
+heartbeat.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import optuna
 from filelock import FileLock, Timeout
-from optuna.distributions import BaseDistribution, FloatDistribution
-from optuna.storages import JournalStorage
+from optuna.distributions import BaseDistribution
+from optuna.pruners import BasePruner
+from optuna.storages import BaseStorage, JournalStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
-from optuna.trial import TrialState
+from optuna.trial import FrozenTrial, Trial, TrialState
 
-from baselines.gains import Gains
-from baselines.loops.condition import MarginCondition
-
-
-def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
-    """Distributions of all gains."""
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
-
-
-def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
-    """Gains rounded to six significant digits, as they are written to the file."""
-    near = {name: float(f"{value:.6g}") for name, value in params.items()}
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
+_REPEATS = "repeats"  # attribute of a trial that repeats an interrupted one: the place of that
+_WORKER = "worker"
 
 
 @contextmanager
 def own(journal: Path) -> Iterator[None]:
-    """Lock the journal for this process; the system releases the lock of a process that is killed.
+    """Lock a journal for this process and its workers; the system releases the lock of a process that is killed.
 
     Raises:
         ValueError: If another process holds it.
@@ -44,9 +39,10 @@ def own(journal: Path) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise ValueError(f"another process tunes with {journal}: wait for it, or choose another --journals") from None
+        raise ValueError(f"another process tunes with {journal}: wait for it, or choose another folder") from None
     try:
         Path(f"{journal}.lock").unlink(missing_ok=True)  # Optuna's own, left by a process that was killed
+        _cut_half_line(journal)
         yield
     finally:
         lock.release()
@@ -58,43 +54,95 @@ def begin_anew(journal: Path) -> None:
         journal.unlink(missing_ok=True)
 
 
-def open_study(kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None) -> optuna.Study:
-    """Open the study in a locked journal, or begin one with the untuned gains.
+def storage_in(journal: Path) -> JournalStorage:
+    """Storage in a journal.
 
     Raises:
-        ValueError: If the journal is damaged, or was begun with another seed, other gains or other margins.
+        ValueError: If the file is none.
+    """
+    if not _is_journal(journal):
+        raise ValueError("it is no journal")
+    return JournalStorage(JournalFileBackend(str(journal), JournalFileOpenLock(str(journal))))
+
+
+def open_study(
+    journal: Path, begun: Mapping[str, Any], pruner: BasePruner, *, remedy: str, storage: BaseStorage | None = None
+) -> optuna.Study:
+    """Open the study in a journal, or begin one.
+
+    Args:
+        journal: Its file.
+        begun: What must be the same whenever the study goes on, as JSON has it.
+        pruner: Ends trials early.
+        remedy: What to do about a journal that is damaged or of another study.
+        storage: Where the study is instead, for a machine that does not see the file.
+
+    Raises:
+        ValueError: If the journal is damaged, or was begun with something else.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    remedy = "tune anew, without --resume"
     try:
-        _cut_half_line(journal)
-        backend = JournalFileBackend(str(journal), JournalFileOpenLock(str(journal)))
-        study = optuna.create_study(study_name="gains", storage=JournalStorage(backend), load_if_exists=True)
-        trials = study.get_trials(deepcopy=False)
+        storage = storage or storage_in(journal)
+        study = optuna.create_study(study_name="tuning", storage=storage, load_if_exists=True, pruner=pruner)
     except (KeyError, ValueError) as error:
         raise ValueError(f"{journal} is damaged ({error}): {remedy}") from None
-    begun = {
-        "seed": seed,
-        "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
-        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
-    }
-    if study.user_attrs.get("begun", begun) != begun:
-        raise ValueError(f"{journal} was started with another seed, other margins or other ranges of gains: {remedy}")
-    study.set_user_attr("begun", begun)
-    for trial in trials:
-        if trial.state is TrialState.RUNNING:  # when it was interrupted
-            study.tell(trial.number, state=TrialState.FAIL)
-    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.WAITING)):
-        study.enqueue_trial(asdict(kind()))
-    study.sampler = optuna.samplers.TPESampler(seed=seed + len(trials), multivariate=True)
+    noted = study.user_attrs.get("begun", begun)
+    if noted != begun:
+        raise ValueError(f"{journal} was started with {_differing(noted, begun)}: {remedy}")
+    study.set_user_attr("begun", dict(begun))
     return study
 
 
+def ask(study: optuna.Study, space: dict[str, BaseDistribution], seed: int, worker: int = 0) -> Trial:
+    """Begin the next trial: one that waits, or settings that follow from the trials before and the seed alone."""
+    seeds = np.random.SeedSequence([seed, worker, _places(study)])
+    study.sampler = optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
+    trial = study.ask(space)
+    trial.set_user_attr(_WORKER, worker)
+    return trial
+
+
+def repeat_later(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
+    """Mark a trial that was interrupted as failed, and let another one wait with its settings and its place."""
+    at = place(study, trial)
+    study.tell(trial.number, state=TrialState.FAIL)
+    study.enqueue_trial(trial.params, user_attrs={_REPEATS: at})
+
+
+def repeat_interrupted(study: optuna.Study, worker: int | None = None) -> list[int]:
+    """Have the running trials of a worker that died repeated, or those of all; returns their places."""
+    running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+    left = [trial for trial in running if worker in (None, trial.user_attrs.get(_WORKER))]
+    places = [place(study, trial) for trial in left]
+    for trial in left:
+        repeat_later(study, trial)
+    return places
+
+
+def place(study: optuna.Study, trial: FrozenTrial | Trial) -> int:
+    """Place of a trial in a study that is never interrupted, in which none is repeated."""
+    return trial.user_attrs.get(_REPEATS, _places(study, trial.number))
+
+
+def _places(study: optuna.Study, before: int | None = None) -> int:
+    """How many trials there are, or were before one; repeats do not count."""
+    return sum(_REPEATS not in trial.user_attrs for trial in study.get_trials(deepcopy=False)[:before])
+
+
+def _differing(noted: Mapping[str, Any], begun: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {noted.get(name)}, not {begun[name]}" for name in begun if noted.get(name) != begun[name])
+
+
+def _is_journal(file: Path) -> bool:
+    """Whether a file holds the lines of a journal, or nothing yet."""
+    if not file.exists():
+        return True
+    with file.open("rb") as content:
+        return content.read(1) in (b"", b"{")
+
+
 def _cut_half_line(journal: Path) -> None:
-    """Take away the line in which a process was killed: Optuna would write on in it."""
-    written = journal.read_bytes() if journal.exists() else b""
-    if written and not written.startswith(b"{"):
-        raise ValueError("it is no journal")
-    whole = written.rfind(b"\n") + 1
-    if whole < len(written):
-        os.truncate(journal, whole)
+    """Take away the line in which a process was killed."""
+    if journal.exists() and _is_journal(journal):
+        written = journal.read_bytes()
+        os.truncate(journal, written.rfind(b"\n") + 1)

@@ -21,12 +21,13 @@ from agents.learners import tuning
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
 from agents.learners.spaces import SPACES
-from agents.learners.tuning import TuningConfig, _search, counted, open_study, training_command, tune
+from agents.learners.tuning import TuningConfig, begin, counted, open_study, run_trials, training_command, tune
 from agents.policy.actor import actor_of
 from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.runs.monitor import News
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
+from baselines.tuning.study import ask, own
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
 from beltarm_env.task.streams import seeded
@@ -173,13 +174,13 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixt
     assert first.params == config.defaults(), "begins with the script's settings"
     assert len(counted(study)) == 2 and len(first.intermediate_values) > 5
     files = {path.name for path in tmp_path.iterdir()}
-    assert files == {"sac.csv", "sac.db", "sac.json"}, "runs of trials are not kept"
+    assert files == {"sac.csv", "sac.journal", "sac.journal.owner", "sac.json"}, "runs of trials are not kept"
     assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
     words = training_command(config, study).split()
     assert words[1] == "train/sac.py" == capsys.readouterr().out.split("\n  ")[1].split()[1]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
     refused(ValueError, ("already holds a study", "--resume"), lambda: tune(config))
-    refused(ValueError, ("was started with", "'arms': 4"), lambda: tune(few(tmp_path, resume=True, arms=8)))
+    refused(ValueError, ("was started with", "arms 4, not 8"), lambda: tune(few(tmp_path, resume=True, arms=8)))
     study.ask()  # left running by an interruption
     again = tune(few(tmp_path, resume=True, trials=3))
     assert len(counted(again)) == 3 and not again.get_trials(states=(TrialState.RUNNING,))
@@ -194,7 +195,7 @@ def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path:
     left = config.run({}, 0).out
     left.mkdir()
     stop.made = True
-    _search(config, 0, Channel(stop=stop))
+    run_trials(config, 0, Channel(stop=stop))
     states = [trial.state for trial in open_study(config).get_trials()]
     assert states == [TrialState.FAIL, TrialState.RUNNING, TrialState.WAITING]
     assert not left.exists()
@@ -210,7 +211,7 @@ def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> N
 
 @pytest.fixture
 def quick() -> Iterator[Path]:
-    """A folder whose database waits for no disk."""
+    """A folder whose journal waits for no disk."""
     with in_memory() as folder:
         yield Path(folder)
 
@@ -222,8 +223,8 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
     monkeypatch.setattr(tuning, "train", train_at_once)
 
     def begun_again(config: TuningConfig, looks: int) -> None:
-        tuning._begin(config)
-        _search(config, 0, Channel(stop=StopAfter(looks)))
+        begin(config)
+        run_trials(config, 0, Channel(stop=StopAfter(looks)))
 
     whole, parts = (few(quick / name, trials=12) for name in ("whole", "parts"))
     for config in (whole, parts):
@@ -234,9 +235,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
     assert len(told) == 1, "how much there is to do, before the first trial"
     for looks in (15, 1, 8, 30, 2):
         begun_again(parts, looks)
-        study = open_study(parts)
-        study.sampler = tuning._sampler(parts, study, 0)
-        study.ask(SPACES["sac"])  # and never told
+        ask(open_study(parts), SPACES["sac"], parts.seed)  # and never told
     begun_again(parts, 10_000)
     study = open_study(parts)
     ours, theirs = (
@@ -251,6 +250,8 @@ def test_bad_options_and_a_damaged_study(tmp_path: Path):
     for name, value in {"trials": 0, "base": "papr", "resume": True}.items():
         with pytest.raises((ValueError, OSError), match=name if value in (0, True) else str(value)):
             tune(few(tmp_path, **{name: value}))
-    (tmp_path / "sac.db").write_text("not a database, but long enough to be one at first sight " * 40)
-    with pytest.raises(ValueError, match=r"sac\.db cannot be read"):
-        open_study(few(tmp_path, resume=True))
+    (tmp_path / "sac.journal").write_text("notes of somebody\n" * 2)
+    with pytest.raises(ValueError, match=r"sac\.journal is damaged"):
+        tune(few(tmp_path, resume=True))
+    with own(tmp_path / "sac.journal"), pytest.raises(ValueError, match="another process"):
+        tune(few(tmp_path, resume=True))

@@ -188,17 +188,17 @@ class TestSchema:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            ({"title": 3}, "title .* '3'"),
-            ({"pages": True}, "pages .* 'True'"),
-            ({"price": math.nan}, "price .* 'nan'"),
-            ({"price": 10**309}, r"price .* '10*\.\.\.'"),
-            ({"kind": "song"}, "kind .* paper, film.* 'song'"),
-            ({"chapters": [{"name": "first"}, {}]}, r"chapters\[1\]: name"),
-            ({"marks": {"a\nb": "x"}}, r"marks: 'a\\nb' .* 'x'"),
+            ({"title": 3}, r"\.title .* string, got '3'"),
+            ({"pages": True}, r"\.pages .* 'True'"),
+            ({"price": math.nan}, r"\.price .* finite number, got 'nan'"),
+            ({"price": 10**309}, r"\.price .* '10*\.\.\.'"),
+            ({"kind": "song"}, r"\.kind .* paper, film.* 'song'"),
+            ({"chapters": [{"name": "first"}, {}]}, r"\.chapters\[1\]\.name must"),
+            ({"marks": {"a\nb": "x"}}, r"\.marks.*a.*b.* 'x'"),
         ],
     )
     def test_what_does_not_fit(self, change: dict[str, Any], words: str):
-        with pytest.raises(ValueError, match=f"^the book: {words}") as caught:
+        with pytest.raises(ValueError, match=rf"^the book: \${words}") as caught:
             check({**GOOD, **change}, "the book", BOOK)
         assert "\n" not in str(caught.value)
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import mistake
+from optuna.trial import TrialState
 from refusals import refused
 
 from baselines import TUNABLE, PaperController, PaperGains
@@ -24,9 +25,20 @@ from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_ent
 from baselines.loops.condition import MarginCondition
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
-from baselines.tuning.race import MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
-from baselines.tuning.search import SearchProgress, search
-from baselines.tuning.study import begin_anew, open_study, own, rounded, space
+from baselines.tuning.search import (
+    MIN_BUDGET,
+    RUNGS,
+    SearchProgress,
+    charged,
+    estimate,
+    hopeless,
+    open_search,
+    rounded,
+    search,
+    space,
+    split_budget,
+)
+from baselines.tuning.study import begin_anew, own
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
 
@@ -114,32 +126,38 @@ def test_a_search_keeps_its_budget_helps_and_is_that_of_its_seed(tmp_path: Path)
     Counting.steps = 0
     first = search(KIND, budget, 3, tmp_path / "a", Channel(reported.append))
     assert first.steps == Counting.steps == reported[-1].steps <= budget
-    assert split_budget(budget).search - BATCH < reported[-1].steps
+    assert split_budget(budget)[0] - RUNGS[-1] * EPISODE_STEPS < reported[-1].steps
     assert first.trials == reported[-1].trials and first.failed == 0
     assert first.cost < first.cost_untuned and 0 < first.pruned < first.trials
     second = search(KIND, budget, 3, tmp_path / "b")
     assert (first.gains, first.cost, first.trials) == (second.gains, second.cost, second.trials)
 
 
-def test_interrupted_search_goes_on(tmp_path: Path):
-    """Wherever it is interrupted, at the first of its draws too: nothing is simulated or drawn twice."""
-    journal = tmp_path / "journal"
+def finished(kind: type[Gains], seed: int, journal: Path) -> list[tuple[Any, ...]]:
+    """Settings, values and costs of the trials that came to their end."""
+    trials = open_search(kind, seed, journal).get_trials(states=(TrialState.COMPLETE,))
+    return [(trial.params, trial.value, trial.intermediate_values) for trial in trials]
+
+
+def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
+    """Wherever it is interrupted, at the first of its draws too: what was begun is repeated, nothing else is drawn."""
+    journal, budget = tmp_path / "journal", 4 * MIN_BUDGET
     for calls in (0, 2, 3):
         with pytest.raises(KeyboardInterrupt):
-            search(KIND, 4 * MIN_BUDGET, 0, journal, interrupted_after(calls))
+            search(KIND, budget, 0, journal, interrupted_after(calls))
     Counting.steps = 0
-    result = search(KIND, 4 * MIN_BUDGET, 0, journal)
-    assert 5 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
-    assert result.steps <= 4 * MIN_BUDGET
-    gains = [trial.params["vibration"] for trial in open_study(OneGain, 0, journal).get_trials()]
-    drawn = [gain for gain in gains if gain != OneGain().vibration]
-    assert len(set(drawn)) == len(drawn) > 3 and OneGain().vibration in gains
+    result = search(KIND, budget, 0, journal)
+    assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
+    assert result.steps <= budget
+    search(KIND, 2 * budget, 0, tmp_path / "whole")
+    ours, theirs = (finished(OneGain, 0, path) for path in (journal, tmp_path / "whole"))
+    assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
-    assert search(KIND, 4 * MIN_BUDGET, 0, journal) == result
+    assert search(KIND, budget, 0, journal) == result
     assert Counting.steps == 0
-    for budget, seed, words in ((MIN_BUDGET, 0, "--budget"), (4 * MIN_BUDGET, 1, "another seed")):
+    for other, seed, words in ((MIN_BUDGET, 0, "--budget"), (budget, 1, "seed 0, not 1")):
         with pytest.raises(ValueError, match=words):
-            search(KIND, budget, seed, journal)
+            search(KIND, other, seed, journal)
 
 
 def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path):
@@ -189,24 +207,31 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
     condition, journal, progress = MarginCondition(), tmp_path / "journal", list[SearchProgress]()
     Watched.simulated.clear()
     with pytest.raises(KeyboardInterrupt):
-        search(GUARDED, 2 * MIN_BUDGET, 0, journal, interrupted_after(11, progress), condition)
-    result = search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=condition)
-    assert result.refused > 0 and result.steps <= 2 * MIN_BUDGET and set(Watched.simulated) == {0.0}
+        search(GUARDED, 3 * MIN_BUDGET, 0, journal, interrupted_after(11, progress), condition)
+    result = search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=condition)
+    assert result.refused > 0 and result.steps <= 3 * MIN_BUDGET and set(Watched.simulated) == {0.0}
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
     assert condition.shortfall(Watched(TwoGains(**result.gains))) == 0
-    assert search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=condition) == result
+    assert search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=condition) == result
     for other in (None, MarginCondition(modulus=0.3)):
-        with pytest.raises(ValueError, match="other margins"):
-            search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=other)
+        with pytest.raises(ValueError, match="was started with margins"):
+            search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=other)
 
 
 def test_laws_of_the_race():
-    """The arms' difficulty is taken out, only what is clearly worse is hopeless, and reversals are charged."""
-    best = np.random.default_rng(0).lognormal(6, 1, RUNGS[-1])
-    few, noise, none = best[: RUNGS[0]], np.tile([-100.0, 100.0], RUNGS[0] // 2), np.empty(0)
+    """The arms' difficulty is taken out, and only what is clearly worse, by ranks and in the mean, is hopeless."""
+    random = np.random.default_rng(0)
+    best, noise = random.lognormal(6, 1, RUNGS[-1]), 100 * random.standard_normal(RUNGS[0])
+    few, none = best[: RUNGS[0]], np.empty(0)
     assert estimate(few + 10, best) == pytest.approx(best.mean() + 10) and estimate(few, none) == few.mean()
-    assert hopeless(few + noise + 50, best)
+    assert estimate(best + 10, best) == pytest.approx(best.mean() + 10)
+    assert hopeless(few + noise + 50, best) and hopeless(best + 1, best)
     assert not (hopeless(few + noise + 5, best) or hopeless(few - 50, best) or hopeless(few + 1000, none))
+    mostly_worse = few + np.append(np.ones(RUNGS[0] - 1), -1000.0)
+    assert not hopeless(mostly_worse, best)
+
+
+def test_torque_that_reverses_often_is_charged():
     np.testing.assert_allclose(charged(np.full(3, 100.0), np.array([0.0, 10.0, 25.0])), [100.0, 100.0, 250.0])
 
 

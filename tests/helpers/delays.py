@@ -16,11 +16,11 @@ def delayed(system: System, samples: int) -> System:
     size = len(system.a)
     a, b = np.zeros((size + samples, size + samples)), np.zeros(size + samples)
     a[:size, :size], a[size + 1 :, size:-1] = system.a, np.eye(samples)[1:, 1:]
-    c, d = np.pad(system.c, (0, samples)), np.array(0.0)
+    c = np.pad(system.c, (0, samples))
     if samples == 0:
         return system
     a[:size, -1], c[-1], b[size] = system.b, system.d, 1.0
-    return System(a, b, c, d)
+    return System(a, b, c, 0.0)
 
 
 def late_arm(params: ArmParams, theta_1: float, samples: float) -> System:
