@@ -13,14 +13,16 @@ from tempfile import mkdtemp
 
 @dataclass(frozen=True)
 class Carried:
-    """Files of a folder, to be pickled."""
+    """Files of a folder, pickled with tasks that read them on machines that may not have it."""
 
     folder: Path
     files: tuple[tuple[str, bytes], ...]  # path within the folder, and content
 
     def here(self) -> Path:
         """Return the folder if it has these files on this machine, or else a copy, for the life of this process."""
-        return self.folder if all(_is(self.folder / name, content) for name, content in self.files) else _copy(self)
+        paths = [self.folder / name for name, _ in self.files]
+        same = all(path.is_file() for path in paths) and carry(self.folder, paths) == self
+        return self.folder if same else _copy(self)
 
 
 def carry(folder: Path, files: Iterable[Path]) -> Carried:
@@ -32,19 +34,11 @@ def carry(folder: Path, files: Iterable[Path]) -> Carried:
     return Carried(folder, tuple((path.relative_to(folder).as_posix(), path.read_bytes()) for path in files))
 
 
-def _is(path: Path, content: bytes) -> bool:
-    try:
-        return path.read_bytes() == content
-    except OSError:
-        return False
-
-
 @cache
 def _copy(carried: Carried) -> Path:
     place = Path(mkdtemp(prefix="beltarm-"))
     atexit.register(shutil.rmtree, place, ignore_errors=True)
     for name, content in carried.files:
-        path = place / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (place / name).write_bytes(content)
     return place

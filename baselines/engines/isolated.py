@@ -19,8 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
-from baselines.engines.local_pool import end_with_parent
-from baselines.engines.task import BrokenOff, Channel, Failure, attempt, pickled
+from baselines.engines.task import BrokenOff, Channel, Failure, attempt, end_with_parent, pickled
 
 Result = TypeVar("Result")
 _POLL = 0.1  # [s]

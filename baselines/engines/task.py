@@ -4,40 +4,38 @@ from __future__ import annotations
 
 import os
 import pickle
+import threading
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 Result = TypeVar("Result")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that limit the threads of numerical libraries."""
 _POLL = 0.1  # [s]
 
 
 class StopRequest:
-    """Request to end early, made by a signal or by a test."""
-
-    def __init__(self) -> None:
-        self.made = False
-
-
-class PolledStop(StopRequest):
-    """Request to stop as seen by a worker, which asks for it now and then.
+    """Request to end early, made by a signal, by a test, or by another process.
 
     Args:
-        ask: Whether it was made.
+        ask: Asks the other process whether it was made there, ten times a second at most.
     """
 
-    def __init__(self, ask: Callable[[], bool]) -> None:
+    def __init__(self, ask: Callable[[], bool] = lambda: False) -> None:
         self._ask = ask
-        self._looked = -_POLL
         self._made = False
+        self._asked = -_POLL
 
     @property
     def made(self) -> bool:
         """Whether it was made."""
-        if not self._made and time.monotonic() - self._looked >= _POLL:
-            self._looked = time.monotonic()
+        if not self._made and time.monotonic() - self._asked >= _POLL:
+            self._asked = time.monotonic()
             self._made = self._ask()
         return self._made
 
@@ -108,3 +106,66 @@ def pickled(outcome: Any) -> bytes:
         lost = Failure(outcome.error).message if isinstance(outcome, Failure) else f"its result is lost: {error!r}"
         return pickle.dumps(Failure(RuntimeError(lost)))
     return data
+
+
+LEFT_OUT = b""
+"""Outcome of a task that was asked to stop before it began."""
+
+
+def work(name: str, task: Task[Any], news: Any, stops: Any, folder: str) -> bytes:
+    """Run a task in a worker, unless it is asked to stop before, and return its outcome.
+
+    News and outcomes travel as bytes: what is between the processes need not import what they are made of.
+
+    Args:
+        name: Of the task.
+        task: What to do.
+        news: Queue for pairs of the task's name and its news.
+        stops: Queue; whatever is in it is a request to stop.
+        folder: Where to work, if this machine has it.
+    """
+
+    def is_asked() -> bool:
+        try:
+            return not stops.empty()
+        except (EOFError, OSError):  # the process that began the task has ended
+            return True
+
+    def report(what: Any) -> None:
+        data = pickle.dumps((name, what))
+        with suppress(EOFError, OSError):
+            news.put(data)
+
+    stop, parent = StopRequest(is_asked), os.getppid()
+    if stop.made:
+        return LEFT_OUT
+    with suppress(OSError):
+        os.chdir(folder)
+    outcome = pickled(attempt(task, Channel(report, stop)))
+    if os.getppid() != parent:  # nobody waits for it, nor has another task
+        os._exit(1)
+    return outcome
+
+
+class Workers(NamedTuple):
+    """Processes that run calls of `work`."""
+
+    submit: Callable[[Callable[[], bytes]], Future[bytes]]
+    is_death: Callable[[BaseException], bool]  # whether a future has this error because its process died
+    news: Any  # queues of the calls
+    stops: Any
+    room: int  # calls that may be with them at a time
+    attempts: int  # how often a task is begun in all where its process dies
+    one_ends_all: bool  # whether a process that dies takes the others along
+
+
+def end_with_parent() -> None:
+    """End this process when the one that began it has ended."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
