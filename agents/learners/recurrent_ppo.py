@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sb3_contrib import RecurrentPPO
 
@@ -39,9 +39,9 @@ class RecurrentPpoConfig(OnPolicyConfig):
     """Weight of the entropy bonus, which keeps exploration from dying early."""
 
     @property
-    def lstm(self) -> int:
-        """Width of the actor's LSTM."""
-        return self.lstm_width
+    def layers(self) -> dict[str, Any]:
+        """The actor's LSTM."""
+        return {"lstm": self.lstm_width}
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""

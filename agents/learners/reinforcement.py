@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 
 from agents.policy.actor import Actor, actor_of
 from agents.residual.bases import make_base
@@ -18,6 +21,7 @@ from agents.residual.env import ResidualVecEnv
 from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
 from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import training_arms
 
 
@@ -75,6 +79,10 @@ def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
 class ModelLearner:
     """A Stable-Baselines3 model with its arms, as `agents.runs.monitor.Learner`.
 
+    What the library saves of a model, with its replay buffer and arms beside it, is enough to go on bit for bit. Its
+    `load` is not: it sets up the model anew at the end, and the states of an LSTM within episodes are lost. So what was
+    saved is put into a new model of the same options, as `load` does it before.
+
     Args:
         config: Options of the run.
         make_model: Makes the untrained model from them and the arms.
@@ -83,7 +91,7 @@ class ModelLearner:
     def __init__(self, config: ReinforcementConfig, make_model: Callable[[Any, ResidualVecEnv], BaseAlgorithm]) -> None:
         self.config = config
         self.env = make_env(config)
-        self.model = make_model(config, self.env)
+        self.model: Any = make_model(config, self.env)
         self.env.seed(training_arms(config.seed).first)
 
     @property
@@ -97,43 +105,38 @@ class ModelLearner:
 
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`."""
-        config, model = self.config, self.model
+        config, model, pauses = self.config, self.model, _Pauses(monitor, self.config.validation_every)
         model.set_logger(monitor.logger)
         remaining = config.total_steps - model.num_timesteps
         try:
-            model.learn(remaining, _Pauses(monitor), config.log_interval, reset_num_timesteps=not config.resume)
+            model.learn(remaining, pauses, config.log_interval, reset_num_timesteps=not config.resume)
         except ValueError:
-            if _diverged(model):
+            if _diverged(model, pauses.locals.get("new_obs")):
                 message = f"diverged at {model.num_timesteps} steps: start again with a smaller --learning-rate"
                 raise ValueError(message) from None
             raise
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next step, between an update and the next rollout."""
-        model = self.model
-        _, variables = model._get_torch_save_params()
-        return {
-            "parameters": model.get_parameters(),
-            "variables": {name: getattr(model, name).detach() for name in variables},
-            "attributes": {name: getattr(model, name) for name in _ATTRIBUTES if hasattr(model, name)},
-            "replay": _replay(model),
-            "env": self.env.snapshot(),
-        }
+        saved = BytesIO()
+        states = [name for name, value in vars(self.model).items() if isinstance(value, tuple)]
+        self.model.save(saved, include=states)  # of an LSTM, which the library would leave out
+        replay = getattr(self.model, "replay_buffer", None)
+        return {"model": saved.getvalue(), "replay": replay, "env": self.env.snapshot()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a snapshot into a new model of the same options."""
         model = self.model
-        model.set_parameters(state["parameters"], exact_match=True, device=model.device)
-        for name, value in state["variables"].items():
-            getattr(model, name).data = value.to(model.device)
-        for name, value in state["attributes"].items():
-            setattr(model, name, value)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", "Could not deserialize")  # and would be left out
+            attributes, parameters, variables = load_from_zip_file(BytesIO(state["model"]), device=model.device)
+        vars(model).update(attributes or {})
+        model.set_parameters(parameters, exact_match=True, device=model.device)
+        for name, value in (variables or {}).items():
+            recursive_setattr(model, f"{name}.data", value.data)
         if state["replay"] is not None:
-            buffer = model.replay_buffer  # pyright: ignore[reportAttributeAccessIssue]
-            buffer.pos, buffer.full = state["replay"]["pos"], state["replay"]["full"]
-            for name in _BUFFERS:
-                kept = state["replay"][name]
-                getattr(buffer, name)[: len(kept)] = kept
+            model.replay_buffer = state["replay"]
+            model.replay_buffer.device = model.device
         self.env.restore(state["env"])
 
     def close(self) -> None:
@@ -141,11 +144,10 @@ class ModelLearner:
         self.env.close()
 
 
-def _diverged(model: BaseAlgorithm) -> bool:
-    """Whether weights or actions of the policy are not finite."""
+def _diverged(model: BaseAlgorithm, seen: Singles | None) -> bool:
+    """Whether weights of the policy, or its actions on observations, are not finite."""
     if not all(torch.isfinite(weights).all() for weights in model.policy.parameters()):
         return True
-    seen: Any = model._last_obs
     if seen is None:
         return False
     try:
@@ -155,33 +157,16 @@ def _diverged(model: BaseAlgorithm) -> bool:
     return not np.isfinite(actions).all()
 
 
-_ATTRIBUTES = (
-    *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining", "action_noise"),
-    *("_last_obs", "_last_episode_starts", "_last_original_obs", "_last_lstm_states"),
-    *("ep_info_buffer", "ep_success_buffer"),
-)
-_BUFFERS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def _replay(model: BaseAlgorithm) -> dict[str, Any] | None:
-    """Copy of the filled part of a replay buffer."""
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
-        return None
-    filled = buffer.buffer_size if buffer.full else buffer.pos
-    kept = {name: getattr(buffer, name)[:filled] for name in _BUFFERS}
-    return {"pos": buffer.pos, "full": buffer.full, **kept}
-
-
 class _Pauses(BaseCallback):
-    """Callback that runs the monitor between update and rollout."""
+    """Callback that runs the monitor between update and rollout, where the state of the run is complete.
 
-    def __init__(self, monitor: TrainingMonitor) -> None:
+    The library's `EvalCallback` and `CheckpointCallback` act within a rollout, of which no part can be saved.
+    """
+
+    def __init__(self, monitor: TrainingMonitor, every: int) -> None:
         super().__init__()
         self.monitor = monitor
-        config = monitor.config
-        assert isinstance(config, ReinforcementConfig)
-        self._every = config.validation_every
+        self._every = every
 
     def _on_step(self) -> bool:
         return True

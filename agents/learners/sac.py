@@ -16,12 +16,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from stable_baselines3 import SAC
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.type_aliases import RolloutReturn
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.actor import MODULES
 from agents.residual.env import ResidualVecEnv
-from beltarm_env.arrays import Singles
 from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -127,10 +127,9 @@ class ClippedAdam(torch.optim.Adam):
 class ResidualSAC(SAC):
     """SAC whose first actions come from the untrained actor, not from a uniform distribution."""
 
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[Singles, Singles]:
-        return super()._sample_action(0, action_noise, n_envs)
+    def collect_rollouts(self, *arguments: Any, **options: Any) -> RolloutReturn:
+        """Collect experiences as the library does where learning has started, whose actions are not uniform."""
+        return super().collect_rollouts(*arguments, **{**options, "learning_starts": 0})
 
 
 def make_model(config: SacConfig, env: ResidualVecEnv) -> ResidualSAC:

@@ -100,14 +100,9 @@ class StudentConfig(RunConfig):
         return self.rounds * self.samples // self.hold
 
     @property
-    def gru(self) -> int:
-        """Width of the actor's GRU."""
-        return self.gru_width
-
-    @property
-    def standardised(self) -> bool:
-        """The actor standardises its inputs, by those of the first round."""
-        return True
+    def layers(self) -> dict[str, Any]:
+        """The actor's GRU; it standardises its inputs, by those of the first round."""
+        return {"gru": self.gru_width, "standardised": True}
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""

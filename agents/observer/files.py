@@ -1,33 +1,30 @@
 """Files of learned observers: weights and what they belong to, in one safetensors file; loading executes nothing.
 
-Its metadata is one JSON text with format, version and edition of the arms, the observer's settings, names of its inputs
-and quantities with units and scales, a hash of the filter's doubts that it was fitted with, how it came about, and a
-SHA-256 of all that and of the weights.
+The description in its header (`agents.tensor_file`) has format, version and edition of the arms, the observer's
+settings, names of its inputs and quantities with units and scales, a hash of the filter's doubts that it was fitted
+with, and how it came about.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load, save
 
 from agents.observer.network import Observer, offered
 from agents.observer.quantities import QUANTITIES
 from agents.residual.bases import base_settings, settings_hash
+from agents.tensor_file import packed, read_packed
 from baselines.tools.command import this_python
-from baselines.tools.files import read_regular, write_atomically
-from baselines.tools.schema import in_a_line, parse
+from baselines.tools.files import write_atomically
+from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
 
 FORMAT = "beltarm-observer"
 VERSION = 1
-MAX_BYTES = 1_000_000
 SHIPPED = Path(__file__).resolve().parent / "shipped"
 """Folder of the shipped observers: `belief.safetensors` corrects the filter, `none.safetensors` has none."""
 
@@ -57,7 +54,7 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
         OSError: If it cannot be written; a file of before stays.
     """
     _require_sound(observer, path)
-    tensors = {name: value.contiguous() for name, value in observer.state_dict().items()}
+    tensors = {name: value.numpy() for name, value in observer.state_dict().items()}
     content = {
         **_belongs_to(observer),
         "knowledge": observer.knowledge,
@@ -65,8 +62,7 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
         "hold": observer.hold,
         "provenance": provenance,
     }
-    content["sha256"] = _digest(content, tensors)
-    data = save(tensors, metadata={"observer": json.dumps(content)})
+    data = packed("observer", content, tensors)
     write_atomically(path, lambda temporary: temporary.write_bytes(data))
 
 
@@ -77,27 +73,22 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         ObserverError: If it is missing, damaged, or made for another release, observation or filter.
     """
     try:
-        data = read_regular(path, MAX_BYTES)
-        with safe_open(path, "pt") as file:
-            content = parse((file.metadata() or {})["observer"].encode())
-        tensors = load(data)
+        content, arrays = read_packed(path, "observer")
         made_for = {name: content[name] for name in ("format", "version", "layout", "edition")}
         observer = Observer(content["knowledge"], content["width"], content["hold"])
         belongs = _belongs_to(observer)
     except FileNotFoundError:
         raise ObserverError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
-    except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise ObserverError(f"{path} is no observer of this release ({in_a_line(error)})") from None
     for name, value in belongs.items():
         if content.get(name) != value:
             found = f": it has {in_a_line(repr(made_for[name]), 80)}, here is {value!r}" if name in made_for else ""
             raise ObserverError(f"{path} was made for another {name}{found}; fit it again")
-    if any(value.dtype != torch.float32 for value in tensors.values()):
+    if any(value.dtype != np.float32 for value in arrays.values()):
         raise ObserverError(f"{path} has weights that are not in single precision; fit it again")
-    if content.get("sha256") != _digest(content, tensors):
-        raise ObserverError(f"{path} is damaged: it is not what was saved; copy it again")
     try:
-        observer.load_state_dict(tensors)
+        observer.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
     except RuntimeError as error:
         raise ObserverError(f"{path} does not hold the weights of its observer: {in_a_line(error)}") from None
     _require_sound(observer, path)
@@ -108,11 +99,3 @@ def _require_sound(observer: Observer, path: Path) -> None:
     weights = observer.state_dict()
     if not all(torch.isfinite(value).all() for value in weights.values()) or not (weights["deviation"] > 0).all():
         raise ObserverError(f"{path}: the observer has weights that are not finite, or inputs without a scale")
-
-
-def _digest(content: dict[str, Any], tensors: dict[str, torch.Tensor]) -> str:
-    rest = {name: value for name, value in content.items() if name != "sha256"}
-    found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
-    for name in sorted(tensors):
-        found.update(name.encode() + tensors[name].numpy().tobytes())
-    return found.hexdigest()

@@ -115,7 +115,7 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
 def _depends_on() -> str:
     """Hash of everything that simulated episodes depend on."""
     code = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
-    student = read_spec(STUDENT)[1]["content_hash"]
+    student = read_spec(STUDENT)[1]["sha256"]
     return hashlib.sha256(GAINS.read_bytes() + f"{code} {student}".encode()).hexdigest()[:12]
 
 

@@ -1,7 +1,8 @@
-"""A policy's card: what its manifest says, and its scores where they are known, for people and the Hugging Face Hub.
+"""A policy's model card: what its description says, for people and the Hugging Face Hub.
 
-The card is Markdown. Before it, between two lines of dashes, stands YAML, which the Hub reads: fields and model index
-as `huggingface_hub.ModelCardData` has them.
+The card is Markdown. Before it, between two lines of dashes, stands YAML, which the Hub reads: fields as
+`huggingface_hub.ModelCardData` has them. That class is not used, since training needs no package of the Hub: it writes
+the scores of a policy that is offered (`eval.exports.hub`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from beltarm_env.task.ranges import RANGES
 from beltarm_env.timing import CONTROL_PERIOD
 
 ENVIRONMENT = "BeltArm-v0"
-MANIFEST = "policy.json"
+POLICY_FILE = "policy.safetensors"
 CARD = "README.md"
 _ROWS = 12  # of the learning curve
 _TEMPLATES = jinja2.Environment(
@@ -31,22 +32,21 @@ _TEMPLATES = jinja2.Environment(
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What a card says besides the manifest, of a policy that is offered to others."""
+    """What a card says besides the description, of a policy that is offered to others."""
 
     repo_id: str = ""  # ORG/NAME on the Hub
     license: str = ""  # as the Hub names it, such as "mit"
-    results: Sequence[dict[str, Any]] = ()  # entries of the Hub's model index
-    scores: str = ""  # the same for people, and where the policy loses: Markdown
+    scores: str = ""  # and where the policy loses: Markdown
     citation: str = ""  # how to cite it: BibTeX
 
 
 def model_name(content: dict[str, Any]) -> str:
-    """Name of a policy as the Hub's agents are called, from its manifest."""
+    """Name of a policy as the Hub's agents are called, from its description."""
     return f"{content['algorithm']}-{ENVIRONMENT}"
 
 
 def card(content: dict[str, Any], offer: Offer | None = None) -> str:
-    """Format a bundle's manifest as a card: what the policy is, how it is loaded, its training, and what is offered."""
+    """Format a description as a card: what the policy is, how it is loaded, its training, and what is offered."""
     offer = offer or Offer()
     provenance = content["provenance"]
     reached, base = provenance.get("reached", {}), provenance.get("validation_of_base", {})
@@ -54,8 +54,8 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
         front_matter=yaml.safe_dump(front_matter(content, offer), sort_keys=False, allow_unicode=True),
         environment=ENVIRONMENT,
         period=CONTROL_PERIOD,
-        manifest_name=MANIFEST,
-        manifest=content,
+        policy_file=POLICY_FILE,
+        policy=content,
         residual=content["residual"],
         repo_id=offer.repo_id,
         scores=offer.scores,
@@ -72,19 +72,16 @@ def front_matter(content: dict[str, Any], offer: Offer) -> dict[str, Any]:
     """Fields that the Hub reads. A library is named whose interface the policy has, not one whose archive it is."""
     learning = ["deep-reinforcement-learning", "reinforcement-learning", "residual-policy-learning"]
     method = [content["algorithm"], f"residual-on-{content['base']}"]
-    fields: dict[str, Any] = {
+    return {
         **({"license": offer.license} if offer.license else {}),
         "library_name": "stable-baselines3",
         "pipeline_tag": "reinforcement-learning",
         "tags": [ENVIRONMENT, *learning, *method, "gymnasium", "robotics", "beltarm"],
     }
-    if offer.results:
-        fields["model-index"] = [{"name": model_name(content), "results": list(offer.results)}]
-    return fields
 
 
 def _facts(content: dict[str, Any]) -> dict[str, Any]:
-    """Table of what the manifest says of the policy and its training; what it does not say is left out."""
+    """Table of what the description says of the policy and its training; what it does not say is left out."""
     provenance, residual = content["provenance"], content["residual"]
     network = " × ".join(str(width) for width in content["hidden"]) or "linear"
     memory = "".join(f"{kind.upper()} of {content[kind]}, then " for kind in ("lstm", "gru") if content[kind])
@@ -97,7 +94,6 @@ def _facts(content: dict[str, Any]) -> dict[str, Any]:
         "sensors": content["sensors"],
         "network": f"{memory}{network}, {content['activation']}",
         "inputs": f"{len(content['entries'])}, layout {content['layout']}",
-        "weights": f"`{content['weights']['file']}`",
         "seed": provenance.get("config", {}).get("seed"),
         "command": f"`{provenance['command']}`" if "command" in provenance else None,
         "commit": provenance.get("commit"),

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policy.inputs import SelectedInputs
 from agents.policy.network import Network, NetworkPolicy, evaluate
 from agents.residual.controller import ResidualController
 from agents.residual.knowledge import ENTRIES, RECENT, Filters, Telling, note_unexplained, tell_belief, tell_torque
@@ -103,28 +102,23 @@ def correction(controller: ResidualController, sensors: str = "encoder") -> Corr
         sensors: Of its arm.
 
     Raises:
-        TypeError: If the policy is none of `NetworkPolicy` and `SelectedInputs`.
+        TypeError: If the policy is no `NetworkPolicy`.
         ValueError: If it was trained with other sensors.
     """
     policy, settings, informed = controller.policy, controller.settings, controller.informed
     offered = layout.size(sensors) + len(ENTRIES[settings.knowledge])
-    columns = np.arange(offered)
-    if isinstance(policy, SelectedInputs):
-        policy, columns = policy.policy, policy.columns
     if not isinstance(policy, NetworkPolicy):
         raise TypeError(f"a policy that is a kernel is a NetworkPolicy, got {type(policy).__name__}")
-    if len(columns) != policy.shape.inputs:
-        raise ValueError(
-            f"the policy observes {policy.shape.inputs} entries, with sensors={sensors!r} there are {len(columns)}"
-        )
+    if offered != policy.observed:
+        raise ValueError(f"the policy observes {policy.observed} entries, with sensors={sensors!r} there are {offered}")
     memory = CorrectionMemory(
         recurrent=np.zeros((1, max(1, int(np.prod(policy.memory)))), np.float32),  # C has no empty arrays
         residual=np.zeros((1, 1), np.float32),
         age=np.zeros(1, np.int64),
         unexplained=np.zeros(RECENT),
         seen=np.zeros(offered, np.float32),
-        inputs=np.zeros((1, len(columns)), np.float32),
+        inputs=np.zeros((1, policy.shape.inputs), np.float32),
         layers=np.zeros((2, 1, policy.widest), np.float32),
     )
-    design = Correction(policy.network, informed.telling, columns, settings.hold, settings.limit)
+    design = Correction(policy.network, informed.telling, policy.columns, settings.hold, settings.limit)
     return CorrectionKernel(design, memory, informed.identifier)

@@ -12,6 +12,7 @@ same alone and in any batch, bit for bit. The kernel `evaluate` takes one row or
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,10 +53,16 @@ class NetworkPolicy:
 
     Args:
         weights: They are copied.
+        columns: Place of each of its inputs in the observation, which may have more entries; None for all in order.
+        observed: Entries of the observation; by default as many as there are inputs.
     """
 
-    def __init__(self, weights: Weights) -> None:
+    def __init__(self, weights: Weights, columns: Sequence[int] | None = None, observed: int | None = None) -> None:
         self.shape = shape = weights.shape
+        self.observed = shape.inputs if observed is None else observed
+        self.columns = np.arange(self.observed) if columns is None else np.array(columns)
+        """Place of each input in the observation."""
+        self._picks = columns is not None
         self.network = _network(weights)
         self.memory = shape.memory
         """Shape of a row's memory."""
@@ -74,15 +81,15 @@ class NetworkPolicy:
         That of a GRU has shape (n, width), and a network without either has None.
 
         Raises:
-            ValueError: If the observations are not of shape (n, inputs).
+            ValueError: If the observations are not of shape (n, entries).
         """
-        shape, count = self.shape, len(observation)
-        if observation.ndim != 2 or observation.shape[1] != shape.inputs:
+        count = len(observation)
+        if observation.ndim != 2 or observation.shape[1] != self.observed:
             raise ValueError(
-                f"the policy observes {shape.inputs} entries, got shape {observation.shape}: run it with the "
+                f"the policy observes {self.observed} entries, got shape {observation.shape}: run it with the "
                 "--sensors that it was trained with"
             )
-        inputs = np.array(observation, np.float32, order="C")
+        inputs = np.array(observation[:, self.columns] if self._picks else observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
         taken = none_taken(usual_threads(count // _LEAST))

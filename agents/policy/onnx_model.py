@@ -1,4 +1,4 @@
-"""A bundle's network as an ONNX model: standard operators, for runtimes that know nothing of this project.
+"""A policy's network as an ONNX model: standard operators, for runtimes that know nothing of this project.
 
     observation   the policy's own entries, scaled as in `beltarm_env.observation`, float32, shape (n, entries)
     state         what it remembers: of a GRU shape (n, width), of an LSTM hidden and cell state, (n, 2, width); zero
@@ -6,10 +6,13 @@
     residual      from -1 to 1, shape (n, 1): a share of `limit`, held for `hold` samples
     next_state    for the next call, `hold` samples later
 
-Standardisation is inside; base controller and identification are not. Metadata says what they are: the manifest whole
-("policy.json"), and from it "base", "hold", "limit", "edition", "sensors" and "entries" (JSON: name, unit, scale and
-bound of each). tanh and the logistic function are the runtime's, those of `agents.policy.network` quotients of
+Standardisation is inside; base controller and identification are not. Metadata says what they are: the policy's whole
+"description" (JSON), and from it "base", "hold", "limit", "edition", "sensors" and "entries" (JSON: name, unit, scale
+and bound of each). tanh and the logistic function are the runtime's, those of `agents.policy.network` quotients of
 polynomials: residuals agree within 1e-6 or so, not bit for bit.
+
+`torch.onnx.export` is not used: it needs onnxscript and PyTorch, without which policies act here, and what exports
+without onnxscript is deprecated.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.bundle import MANIFEST, read_weights, require_finite
+from agents.policy.bundle import read_weights
 from agents.policy.weights import FARTHEST, Weights
 from baselines.tools.files import write_atomically
 from beltarm_env.arrays import Singles
@@ -37,33 +40,27 @@ _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu", "elu": "Elu"}
 
 
 def onnx_model(folder: Path | str) -> onnx.ModelProto:
-    """Make the ONNX model of a bundle.
+    """Make the ONNX model of a policy.
 
     Raises:
-        BundleError: If the bundle is missing, damaged, or foreign.
+        BundleError: If the policy is missing, damaged, or foreign.
         DependencyNotInstalled: If the package onnx is not installed.
     """
     weights, spec, content = read_weights(folder)
     told = {name: content[name] for name in ("base", "edition", "sensors", "entries")}
-    told |= {"hold": spec.residual.hold, "limit": spec.residual.limit, MANIFEST: content}
+    told |= {"hold": spec.residual.hold, "limit": spec.residual.limit, "description": content}
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()}
     return model_of(weights, texts)
 
 
 def write_onnx(folder: Path | str, path: Path) -> None:
-    """Write the ONNX model of a bundle to a file; raises the errors of `onnx_model`, and OSError."""
+    """Write the ONNX model of a policy to a file; raises the errors of `onnx_model`, and OSError."""
     data = onnx_model(folder).SerializeToString()
     write_atomically(path, lambda file: file.write_bytes(data))
 
 
 def model_of(weights: Weights, metadata: Mapping[str, str]) -> onnx.ModelProto:
-    """Make the ONNX model of a network.
-
-    Raises:
-        BundleError: If weights are not finite.
-        DependencyNotInstalled: If the package onnx is not installed.
-    """
-    require_finite(weights, "the policy")
+    """Make the ONNX model of a network; raises DependencyNotInstalled if the package onnx is not installed."""
     try:
         from onnx import TensorProto, checker, helper
     except ImportError:

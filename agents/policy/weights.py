@@ -99,7 +99,8 @@ class Weights:
     """Layers of an actor with their numbers.
 
     Raises:
-        ValueError: If an array is missing, there is one too many, or one has another shape or type.
+        ValueError: If an array is missing, there is one too many, or one has another shape or type, or numbers that are
+            not finite.
     """
 
     shape: ActorShape
@@ -116,6 +117,8 @@ class Weights:
             kind, shape = self.arrays[name].dtype, self.arrays[name].shape
             if shape != wanted[name] or kind != np.float32:
                 raise ValueError(f"{name} is {kind} of shape {shape}, and must be float32 of shape {wanted[name]}")
+            if not np.isfinite(self.arrays[name]).all():
+                raise ValueError(f"{name} has numbers that are not finite")
 
     def recurrent(self) -> list[tuple[Singles, Singles]]:
         """Matrices and biases of the recurrent layer, on its inputs and on what it remembers; empty for none."""
@@ -126,7 +129,3 @@ class Weights:
         """Matrices and biases of the layers after it."""
         places = range(0, 2 * len(self.shape.widths) - 2, 2)
         return [(self.arrays[f"layers.{k}.weight"], self.arrays[f"layers.{k}.bias"]) for k in places]
-
-    def not_finite(self) -> str | None:
-        """Name of the first array that has numbers that are not finite; None if all are."""
-        return next((name for name, array in self.arrays.items() if not np.isfinite(array).all()), None)

@@ -21,16 +21,10 @@ from agents.runs.checkpoint import CHECKPOINT, CONFIG, RunFolder
 from agents.runs.monitor import Maker, News
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
-from baselines.engines.parallel import (
-    Channel,
-    Failure,
-    Interrupted,
-    StopRequest,
-    run_side_by_side,
-    stop_on_signals,
-)
+from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import Workplace
 from baselines.tools.command import one_line_errors, this_python
+from baselines.tools.files import require_writable
 from baselines.tools.options import parse
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
@@ -53,8 +47,7 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
         config: RunConfig = parse(kind, description, begun=begun_options)
         try:
             config.check()
-            run = _run_one if config.seeds == 1 and config.engine == "local" else _run_seeds
-            run(config, make_learner, Console())
+            _run(config, make_learner, Console())
         except Interrupted as interruption:
             print(f"{interruption}; to continue:\n  {_resume_command(script)}")
             sys.exit(130)
@@ -87,26 +80,6 @@ def _resume_command(script: str) -> str:
     return f"{this_python()} {shlex.join([script, *arguments, '--resume'])}"
 
 
-def _stop_on_signals(stop: StopRequest, console: Console) -> Any:
-    return stop_on_signals(
-        stop, lambda: console.print("stopping after this update; press Ctrl-C again to stop at once")
-    )
-
-
-def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
-    """Run one training, in this process."""
-    stop, name = StopRequest(), config.algorithm
-    if not config.resume and (config.out / COMMAND).exists():  # several runs there would be resumed instead of this one
-        RunFolder(config.out).check(config)
-        (config.out / COMMAND).unlink()
-    with _stop_on_signals(stop, console), progress_rows([name], config.length, console) as rows:
-        channel = Channel(lambda news: _show(rows, console, name, news), stop)
-        monitor = train(config, make_learner, channel)
-    steps, seconds, _ = monitor.curve[-1]
-    print(f"{steps} steps in {seconds:.0f} s; best policy: {config.out / 'best'}")
-    print(f"compare it: {compare_command([config.out / 'best'])}")
-
-
 def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
     """Show how far a run is; where nobody watches a terminal, as a line for each validation."""
     rows.show(name, news.steps, news.scores)
@@ -137,26 +110,36 @@ def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:
     return runs
 
 
-def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None:
-    """Run several trainings, in processes of their own; one that fails leaves the others alone."""
-    stop, failed = StopRequest(), list[str]()
+def _run(config: RunConfig, make_learner: Maker, console: Console) -> None:
+    """Run all trainings; one in this process, several in their own, where one that fails leaves the others alone."""
+    alone, stop, failed = config.seeds == 1 and config.engine == "local", StopRequest(), list[str]()
+    if not config.resume:
+        require_writable(config.out)
     with Workplace(config, config.out) as workplace:
         runs = runs_of(config, workplace)
+        if alone:
+            runs = dict(zip([config.algorithm], runs.values(), strict=True))
         if config.overwrite:  # once: a run that is begun again is not to delete itself
             for run in runs.values():
-                folder = RunFolder(run.out)
-                with folder.locked(run):
-                    folder.delete_run()
-        note_options(config.out / COMMAND, config)
+                with RunFolder(run.out).locked(run):
+                    pass
+        if not alone:
+            note_options(config.out / COMMAND, config)
+        elif not config.resume and (config.out / COMMAND).exists():  # of several runs, which would be resumed instead
+            (config.out / COMMAND).unlink()
         tasks = {
             name: workplace.task(name, run.out, partial(run_in, _local(run), make_learner, command_line()), CHECKPOINT)
             for name, run in runs.items()
         }
-        outcomes = partial(run_side_by_side, tasks, config.jobs, engine=config.runs_on, threads=config.threads)
-        with _stop_on_signals(stop, console), progress_rows(runs, config.length, console) as rows:
-            with closing(outcomes(stop=stop, tell=partial(_show, rows, console))) as ends:
+        asked = partial(console.print, "stopping after this update; press Ctrl-C again to stop at once")
+        with stop_on_signals(stop, asked), progress_rows(runs, config.length, console) as rows:
+            show = partial(_show, rows, console)
+            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": show}
+            with closing(run_side_by_side(tasks, config.jobs, **options)) as ends:
                 for name, end in ends:
                     if isinstance(end, Failure):
+                        if alone:
+                            raise end.error
                         rows.show(name, state=end.message)
                         if not isinstance(end.error, Interrupted):
                             failed.append(f"{name}: {end.resumable_message}")
@@ -167,8 +150,8 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))
     if stop.made:
         raise Interrupted(f"interrupted; all runs that had started are saved in {config.storage or config.out}")
-    print(f"{len(runs)} runs in {config.out}; learning curves: {this_python()} eval/curves.py --runs {config.out}")
-    print(f"compare them: {compare_command([run.out / 'best' for run in runs.values()])}")
+    print(f"saved in {config.out}; learning curves: {this_python()} eval/curves.py --runs {config.out}")
+    print(f"compare: {compare_command([run.out / 'best' for run in runs.values()])}")
 
 
 def compare_command(policies: Sequence[Path]) -> str:

@@ -1,12 +1,14 @@
-"""Monitor of a training run: validation, the best policy, checkpoints and progress."""
+"""Monitor of a training run: validation, the best policy, checkpoints and progress.
+
+The library's logger writes the training log. Its `EvalCallback` is not enough: it scores rewards of a `VecEnv`, not the
+task's metrics beside those of the base, and only for models of its own, which a student is none of.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -56,12 +58,7 @@ class Learner(Protocol):
         ...
 
     def learn(self, monitor: TrainingMonitor) -> None:
-        """Learn to the end of the run, calling the monitor.
-
-        Raises:
-            Interrupted: If the monitor was asked to stop.
-            ValueError: If the training diverges, naming the remedy.
-        """
+        """Learn to the end of the run, calling the monitor; raises ValueError, with a remedy, if it diverges."""
         ...
 
     def snapshot(self) -> dict[str, Any]:
@@ -75,16 +72,6 @@ class Learner(Protocol):
     def close(self) -> None:
         """Release resources."""
         ...
-
-
-@contextmanager
-def log_errors(folder: Path) -> Iterator[None]:
-    """Say of a training log that cannot be written in which folder it is, and what to do."""
-    try:
-        yield
-    except OSError as error:
-        words = f"cannot write the training log to {folder}: {error.strerror or error}"
-        raise OSError(f"{words}; free some space, and go on with --resume") from None
 
 
 class TrainingMonitor:
@@ -141,22 +128,12 @@ class TrainingMonitor:
             self.log()
 
     def log(self) -> None:
-        """Write a row of the training log.
-
-        Raises:
-            OSError: If it cannot be written.
-        """
+        """Write a row of the training log; raises OSError if it cannot be written."""
         self.logger.record("time/total_timesteps", self.learner.steps)
-        with log_errors(self.folder.folder):
-            self.logger.dump(self.learner.steps)
+        self.logger.dump(self.learner.steps)
 
     def stop_if_asked(self, save: bool = True) -> None:
-        """Raise Interrupted on a request to stop, after saving a checkpoint if `save`.
-
-        Raises:
-            Interrupted: If it was asked to.
-            OSError: If the checkpoint cannot be written.
-        """
+        """Raise Interrupted on a request to stop, after saving a checkpoint if `save`; OSError if that fails."""
         if self.channel.stop.made:
             if save:
                 self.save()

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 
 import torch
 
-from agents.policy.bundle import BundleSpec
+from agents.policy.description import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
@@ -89,19 +89,9 @@ class RunConfig(WithStorage):
         return ResidualSettings(self.residual_limit, self.hold, self.knowledge)
 
     @property
-    def lstm(self) -> int:
-        """Width of the actor's LSTM, 0 for none."""
-        return 0
-
-    @property
-    def standardised(self) -> bool:
-        """Whether the actor standardises its inputs."""
-        return False
-
-    @property
-    def gru(self) -> int:
-        """Width of the actor's GRU, 0 for none."""
-        return 0
+    def layers(self) -> dict[str, Any]:
+        """What the actor has besides hidden layers, as `BundleSpec` names it."""
+        return {}
 
     def learning_rate_left(self, remaining: float) -> float:
         """Linearly decaying learning rate, at a share `remaining` of the run, which a last rollout takes below 0."""
@@ -143,18 +133,8 @@ class RunConfig(WithStorage):
 
     def spec(self, **provenance: Any) -> BundleSpec:
         """Specification of the trained policy."""
-        return BundleSpec(
-            self.algorithm,
-            self.base,
-            self.residual,
-            self.hidden,
-            self.activation,
-            self.sensors,
-            self.lstm,
-            self.gru,
-            self.standardised,
-            provenance,
-        )
+        parts = self.algorithm, self.base, self.residual, self.hidden, self.activation, self.sensors
+        return BundleSpec(*parts, **self.layers, provenance=provenance)
 
     def identity(self) -> dict[str, Any]:
         """Identity of a run: its options, the gains of its base, and the observation layout."""

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.policy.bundle import BundleError, annotate, read_spec, save_bundle
+from agents.policy.bundle import annotate, read_spec, save_bundle
+from agents.policy.description import BundleError
 from agents.runs.checkpoint import RunFolder, written_by
-from agents.runs.monitor import SCORES, Maker, TrainingMonitor, log_errors
+from agents.runs.monitor import SCORES, Maker, TrainingMonitor
 from agents.runs.settings import RunConfig
 from baselines.engines.parallel import Channel
+from baselines.tools.files import errors_about
 from baselines.tools.provenance import command_line
 
 
@@ -47,42 +48,30 @@ def train(
     config.check()
     torch.set_num_threads(config.threads)
     folder = RunFolder(place or config.out)
-    with folder.locked(config):
+    with folder.locked(config), errors_about(folder.folder):
         return _train(config, make_learner, channel or Channel(), command or command_line(), folder)
 
 
 def _train(
     config: RunConfig, make_learner: Maker, channel: Channel, command: str, folder: RunFolder
 ) -> TrainingMonitor:
-    folder.begin(config)
     learner = make_learner(config)
     goes_on = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
     progress = folder.load(learner.restore) if goes_on else None
     folder.note(config, progress)
-    suffix = f"_from_{learner.steps}" if goes_on else ""
-    spec = config.spec(**_origin(config, command))
-    with closing(learner), _training_log(folder.folder, suffix) as logger:
+    options = json.loads(json.dumps(asdict(config), default=str))
+    spec = config.spec(command=command, **written_by(), config=options)
+    logs, suffix = str(folder.folder), f"_from_{learner.steps}" if goes_on else ""
+    formats = [make_output_format(kind, logs, suffix) for kind in ("csv", "tensorboard")]
+    with closing(learner), closing(Logger(logs, formats)) as logger:
         monitor = TrainingMonitor(config, folder, learner, spec, logger, channel, progress)
         if learner.steps < config.length:
             learner.learn(monitor)
         if not _is_finished(monitor):
-            _finish(monitor)
+            scores = {name: monitor.progress["curve"][-1][name] for name in SCORES}
+            save_bundle(folder.last, monitor.completed_spec(scores), learner.actor().weights())
+            annotate(folder.best, **monitor.provenance())
     return monitor
-
-
-@contextmanager
-def _training_log(folder: Path, suffix: str) -> Iterator[Logger]:
-    """Open the training log, and close it whatever happens."""
-    with log_errors(folder):
-        logger = Logger(str(folder), [make_output_format(kind, str(folder), suffix) for kind in ("csv", "tensorboard")])
-    try:
-        yield logger
-    except BaseException:
-        with suppress(OSError):  # what went wrong before says more
-            logger.close()
-        raise
-    with log_errors(folder):
-        logger.close()
 
 
 def _is_finished(monitor: TrainingMonitor) -> bool:
@@ -92,19 +81,3 @@ def _is_finished(monitor: TrainingMonitor) -> bool:
     except BundleError:
         return False
     return all(provenance.get("run", {}).get("steps") == monitor.learner.steps for provenance in found)
-
-
-def _finish(monitor: TrainingMonitor) -> None:
-    """Save the last policy, and complete the provenance of the best one."""
-    scores = {name: monitor.progress["curve"][-1][name] for name in SCORES}
-    save_bundle(monitor.folder.last, monitor.completed_spec(scores), monitor.learner.actor().weights())
-    annotate(monitor.folder.best, **monitor.provenance())
-
-
-def _origin(config: RunConfig, command: str) -> dict[str, object]:
-    """Provenance of a policy."""
-    return {
-        "command": command,
-        **written_by(),
-        "config": json.loads(json.dumps(asdict(config), default=str)),
-    }

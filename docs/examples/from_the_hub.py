@@ -1,7 +1,7 @@
 """Run a policy that somebody offers: `python docs/examples/from_the_hub.py FOLDER`, or `--repo-id ORG/NAME`.
 
-Of the folder, `policy.json` and the weights that it names are read, as text and numbers. Nothing in it is executed.
-With --repo-id these two are downloaded from the Hugging Face Hub first, which takes the package `huggingface_hub`.
+Of the folder, `policy.safetensors` is read, numbers and text. Nothing in it is executed.
+With --repo-id it is downloaded from the Hugging Face Hub first, which takes the package `huggingface_hub`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from agents.policy.bundle import MANIFEST, load_controller, read_spec
+from agents.policy.bundle import POLICY_FILE, load_controller, read_spec
 from baselines.tools.command import one_line_errors
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import fresh_arms
@@ -18,7 +18,7 @@ ARM = fresh_arms(0).first  # seed of an arm that nothing is trained or tuned on
 
 
 def download(repo_id: str) -> Path:
-    """Download manifest and weights of a policy, and nothing else of its repository.
+    """Download a policy, and nothing else of its repository.
 
     Raises:
         ValueError: If `huggingface_hub` is not installed.
@@ -30,7 +30,7 @@ def download(repo_id: str) -> Path:
         raise ValueError(
             "--repo-id needs the package huggingface_hub: pip install huggingface_hub, or give a folder"
         ) from None
-    return Path(snapshot_download(repo_id, allow_patterns=[MANIFEST, "weights-*.safetensors"]))
+    return Path(snapshot_download(repo_id, allow_patterns=POLICY_FILE))
 
 
 def main() -> None:

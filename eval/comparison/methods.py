@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.policy.bundle import POLICIES, bundle_files, read_spec
+from agents.policy.bundle import POLICIES, POLICY_FILE, bundle_files, read_spec
 from agents.policy.together import are_alike, load_together
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
@@ -161,12 +161,12 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
-    """Learning methods from policy bundles, FOLDER or NAME=FOLDER, one per training seed of a method, in their order.
+    """Learning methods from policies, FOLDER or NAME=FOLDER, one per training seed of a method, in their order.
 
     Without a NAME, shipped ones are called as their folder, others "my" and their algorithm's name.
 
     Raises:
-        BundleError: If a bundle is missing or damaged.
+        BundleError: If a policy is missing or damaged.
         ValueError: If a policy needs other sensors than the encoder, or is an archive of Stable-Baselines3.
     """
     grouped: dict[str, list[Path]] = {}
@@ -205,13 +205,13 @@ def _learned(name: str, folders: list[Path]) -> Method:
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
         **({"base_steps": base_steps} if base_steps else {}),
     }
-    identity = _hash([[content["content_hash"] for _, content in read], _all_gains()])
+    identity = _hash([[content["sha256"] for _, content in read], _all_gains()])
     return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
 
 
 def shipped_policies() -> list[Path]:
     """Folders of the shipped policies: `agents/policies/METHOD/SEED`."""
-    return sorted(path.parent for path in POLICIES.glob("*/*/policy.json"))
+    return sorted(path.parent for path in POLICIES.glob(f"*/*/{POLICY_FILE}"))
 
 
 def is_shipped(method: Method) -> bool:
@@ -222,9 +222,9 @@ def is_shipped(method: Method) -> bool:
 
 
 def policies_of(methods: Iterable[Method]) -> list[str]:
-    """Content hashes of the policies of some methods."""
+    """SHA-256 of the policies of some methods."""
     folders = [Path(source) for method in methods if method.kind == "learned" for source in method.sources]
-    return [read_spec(folder)[1]["content_hash"] for folder in folders]
+    return [read_spec(folder)[1]["sha256"] for folder in folders]
 
 
 def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:

@@ -2,7 +2,7 @@
 
 The digest says whether the same code would measure the same data today. It is of Python's syntax trees, without
 docstrings and comments, of all modules that the measurement imports, of the module's own functions only those that it
-uses, and of tuned gains and shipped policies. So words, tables and pictures change no digest.
+uses, and of tuned gains, shipped policies and observers. So words, tables and pictures change no digest.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from beltarm_env import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
-_FILES = ("baselines/gains.json", "agents/policies*/*/*/policy.json", "agents/observer/**/*.json")
+_FILES = ("baselines/gains.json", "agents/**/*.safetensors")
 _STARTS = ("measure", "Options")
 """Names of a module from which all that measures is reached."""
 

@@ -18,7 +18,7 @@ import tyro
 import yaml
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_spec, read_weights
+from agents.policy.bundle import CARD, POLICY_FILE, bundle_files, load_controller, read_spec
 from agents.policy.card import ENVIRONMENT, Offer, card, model_name
 from agents.runs.command_line import compare_command
 from beltarm_env.rollout import rollout
@@ -88,7 +88,7 @@ def export(options: Options) -> None:
     require_free(out, CONFIG, FORMAT)
     if out.exists() and any(out.iterdir()) and not options.overwrite:
         raise ValueError(f"{out} is there already: replace it with --overwrite, or choose another with --out")
-    scores = scores_of(options.policy, content["content_hash"], options.results or PUBLISHED)
+    scores = scores_of(options.policy, content["sha256"], options.results or PUBLISHED)
     if scores is None and options.results is not None:
         raise ValueError(
             f"{options.policy} took no part in {options.results}: give it to eval/compare.py with --policy"
@@ -102,20 +102,20 @@ def export(options: Options) -> None:
 
 
 def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
-    """Files of the folder by name: the bundle as it is, under a new card, and the rows of its scores.
+    """Files of the folder by name: the policy as it is, under a new card, and the rows of its scores.
 
     Raises:
-        BundleError: If the bundle is missing, damaged, or foreign.
+        BundleError: If the policy is missing, damaged, or foreign.
         DependencyNotInstalled: If a package is not installed.
     """
     from huggingface_hub import ModelCard
 
-    _, _, content = read_weights(options.policy)
-    about = ("content_hash", "algorithm", "base", "sensors", "residual", "edition", "layout")
+    _, content = read_spec(options.policy)
+    about = ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")
     config = {
         "format": FORMAT,
         "environment": ENVIRONMENT,
-        "manifest": MANIFEST,
+        "policy": POLICY_FILE,
         **{key: content[key] for key in about},
     }
     text = markdown(scores) if scores else ""

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from agents.policy.bundle import MANIFEST, load_controller, read_spec
+from agents.policy.bundle import POLICY_FILE, load_controller, read_spec
 from agents.policy.correction import correction
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
@@ -133,11 +133,11 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         params = base.params
         propose, design, memory = classical(kernel.law, identifies), kernel.design, kernel.memory
     else:
-        if not (Path(source) / MANIFEST).is_file():
+        if not (Path(source) / POLICY_FILE).is_file():
             require_known((source,), CONTROLLERS, "{} is neither a classical controller nor the folder of a policy")
         controller, (spec, content) = load_controller(source), read_spec(source)
         name, base_name, residual, base = spec.algorithm, spec.base, spec.residual.limit, controller.informed.base
-        title = f"Policy {name} on {base_name!r} of beltarm, content hash {content['content_hash']}"
+        title = f"Policy {name} on {base_name!r} of beltarm, SHA-256 {content['sha256']}"
         params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
@@ -159,7 +159,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
 
 def _is_classical(source: str) -> bool:
     """Tell whether a source is a controller of the project or of a file, not a policy."""
-    return source in CONTROLLERS or (":" in source and not (Path(source) / MANIFEST).is_file())
+    return source in CONTROLLERS or (":" in source and not (Path(source) / POLICY_FILE).is_file())
 
 
 def _classical(source: str) -> Any:

@@ -87,12 +87,12 @@ class Scores:
         }
 
 
-def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
+def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     """Read the scores of a policy, and run it for its mean reward.
 
     Args:
         policy: Folder of the policy.
-        content_hash: Hash in its manifest, by which results know it.
+        digest: Its SHA-256, by which results know it.
         path: `results.json` of a comparison.
 
     Returns:
@@ -102,7 +102,7 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
         ValueError: If the results are damaged, or of other scenarios than this checkout has.
     """
     results = read_results(path)
-    method = _method_of(content_hash, results, path)
+    method = _method_of(digest, results, path)
     if method is None:
         return None
     scenarios = set_of(results, path)
@@ -113,16 +113,16 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     return replace(scores, rewards=-rollout(controller, row["episodes"], sensors=sensors, **arguments).cost)
 
 
-def _method_of(content_hash: str, results: Mapping[str, Any], path: Path) -> str | None:
+def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | None:
     """Name of the method that a policy belongs to: results list the policies of all methods in their order."""
     ran = results["provenance"].get("policies", [])
-    if content_hash not in ran:
+    if digest not in ran:
         return None
     seeds = {row["method"]: row["seeds"] for row in results["rows"] if row["kind"] == "learned"}
     owners = [name for name, count in seeds.items() for _ in range(count)]
     if len(owners) != len(ran):
         raise ValueError(f"{path} lists {len(ran)} policies, its rows have {len(owners)}: run the comparison again")
-    own = [name for name, hashed in zip(owners, ran, strict=True) if hashed == content_hash]
+    own = [name for name, hashed in zip(owners, ran, strict=True) if hashed == digest]
     return next((name for name in own if not name.endswith(_GUARDED)), None)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agents.policy.bundle import MANIFEST, BundleError, read_spec
+from agents.policy.bundle import POLICY_FILE, BundleError, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import validate
 from baselines import CONTROLLERS
@@ -42,9 +42,8 @@ def find_curves(folders: list[Path]) -> list[Curve]:
     """
     curves = []
     for folder in folders:
-        manifests = [folder / MANIFEST, *(folder / kind / MANIFEST for kind in ("last", "best"))]
-        own = [manifest.parent for manifest in manifests if manifest.exists()][:1]
-        below = [path.parent for path in (*folder.glob(f"*/{MANIFEST}"), *folder.glob(f"*/best/{MANIFEST}"))]
+        own = [path for path in (folder, folder / "last", folder / "best") if (path / POLICY_FILE).exists()][:1]
+        below = [path.parent for path in (*folder.glob(f"*/{POLICY_FILE}"), *folder.glob(f"*/best/{POLICY_FILE}"))]
         bundles = own or sorted(below)
         if not bundles:
             raise BundleError(f"no run and no policy in {folder}: give the folder of a run, such as runs/ppo")

@@ -23,9 +23,10 @@ from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, mak
 from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, begin, counted, open_study, run_trials, training_command, tune
 from agents.policy.actor import actor_of
-from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
+from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.runs.monitor import News
+from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.tuning.study import ask, own
 from beltarm_env.task.cost import MAX_COST

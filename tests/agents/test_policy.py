@@ -24,13 +24,12 @@ from refusals import refused
 from torch import nn
 
 from agents.policy.actor import Actor, actor_of
-from agents.policy.bundle import FELT_POLICIES, MANIFEST, POLICIES, BundleError, load_controller, read_spec, save_bundle
-from agents.policy.inputs import SelectedInputs
+from agents.policy.bundle import FELT_POLICIES, POLICIES, POLICY_FILE, load_controller, read_spec, save_bundle
+from agents.policy.description import BundleError
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
 from agents.policy.weights import ActorShape, Weights
 from beltarm_env.arrays import Singles
-from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.task.seeds import VALIDATION
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,6 +61,7 @@ def test_weights_are_the_arrays_of_the_layers_and_no_others():
         (arrays | {"layers.4.weight": np.zeros((1, 1), np.float32)}, "an array 'layers.4.weight', of no layer"),
         (arrays | {"layers.2.bias": np.zeros(1)}, "layers.2.bias is float64 of shape (1,)"),
         (arrays | {"layers.2.bias": np.zeros((1, 1), np.float32)}, "must be float32 of shape (1,)"),
+        (arrays | {"layers.2.bias": np.full(1, np.nan, np.float32)}, "layers.2.bias has numbers that are not finite"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             Weights(shape, wrong)
@@ -187,25 +187,18 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
 
 
-class Echo:
-    """A policy that says what it was given."""
-
-    def predict(self, observation: Singles, state: Any, episode_start: Any, deterministic: bool) -> Any:
-        return observation, (state, episode_start, deterministic)
-
-
 def test_inputs_are_picked_in_the_policys_own_order():
-    offered = MEASURED["encoder"]
-    echo: Any = Echo()
-    policy = SelectedInputs(echo, [offered[3].name, offered[0].name], offered)
-    seen = np.arange(2.0 * len(offered), dtype=np.float32).reshape(2, -1)
-    assert policy.columns.tolist() == [3, 0]
-    given, (state, start, deterministic) = policy.predict(seen, None, np.array([True, False]))
-    np.testing.assert_array_equal(given, [[3, 0], [len(offered) + 3, len(offered)]])
-    assert state is None and start.tolist() == [True, False] and deterministic
-    for shape in ((2, len(offered) - 1), (2, len(offered) + 1), (len(offered),), (1, 2, len(offered))):
-        with pytest.raises(ValueError, match=f"chooses from {len(offered)} entries, got shape"):
-            policy.predict(np.ones(shape, np.float32))
+    weights = lively(ActorShape(2, (4,), gru=3)).weights()
+    seen, begins = episodes(ActorShape(5, ()), 2, 1)[0], np.array([True, False])
+    picking, plain = NetworkPolicy(weights, [3, 0], 5), NetworkPolicy(weights)
+    memory = np.ones((2, 3), np.float32)
+    expected = plain.predict(seen[:, [3, 0]], memory, begins)
+    for ours, theirs in zip(picking.predict(seen, memory, begins), expected, strict=True):
+        assert ours is not None
+        np.testing.assert_array_equal(ours, theirs)
+    for shape in ((2, 4), (2, 6), (5,), (1, 2, 5)):
+        with pytest.raises(ValueError, match="observes 5 entries, got shape"):
+            picking.predict(np.ones(shape, np.float32))
 
 
 @pytest.mark.parametrize(
@@ -263,7 +256,7 @@ def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
     onnx.checker.check_model(model, full_check=True)
     assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
     reported = {entry.key: entry.value for entry in model.metadata_props}
-    assert json.loads(reported[MANIFEST]) == content
+    assert json.loads(reported["description"]) == content
     assert json.loads(reported["entries"]) == spec.entries()
     assert (reported["base"], reported["sensors"]) == (spec.base, "encoder")
     assert (json.loads(reported["hold"]), json.loads(reported["limit"])) == (spec.residual.hold, spec.residual.limit)
@@ -276,10 +269,10 @@ def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
     assert shapes == {"observation": ["n", len(spec.entries())], "residual": ["n", 1], **state}
 
 
-def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
+def test_a_damaged_policy_makes_no_model(tmp_path: Path):
     save_bundle(tmp_path, SPEC, new_weights())
-    (weights,) = tmp_path.glob("*.safetensors")
-    weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
+    path = tmp_path / POLICY_FILE
+    path.write_bytes(path.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(BundleError, match="damaged"):
         onnx_model(tmp_path)
 

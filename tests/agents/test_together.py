@@ -13,7 +13,6 @@ from refusals import refused
 
 from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec, save_bundle
 from agents.policy.correction import correct, correction
-from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
 from agents.policy.together import are_alike, load_together
 from agents.residual.bases import make_base
@@ -102,9 +101,7 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
 
 
 def lively(spec: BundleSpec) -> ResidualController:
-    policy: Any = NetworkPolicy(new_weights(spec, 0))
-    if spec.inputs is not None:
-        policy = SelectedInputs(policy, spec.inputs, spec.offered())
+    policy = NetworkPolicy(new_weights(spec, 0), spec.columns(), len(spec.offered()))
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
 
 

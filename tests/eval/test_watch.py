@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.slow
 def test_a_gif_of_two_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    policy = next((ROOT / "agents/policies/ppo").glob("*/policy.json")).parent
+    policy = next((ROOT / "agents/policies/ppo").glob("*/policy.safetensors")).parent
     chosen = ("--controller", "paper", "--policy", str(policy), "--speed", "2", "--scenario", "3")
     assert stopped(watch.main, (*chosen, "--out", "new/motion.gif"), tmp_path) == (0, "")
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[:2]] == ["paper", "ppo"]

@@ -1,4 +1,4 @@
-"""Bundles of small untrained policies, and changes to them."""
+"""Small untrained policies, changes to their files, and halves of their cards."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import yaml
+from safetensors.numpy import save
 
-import agents.policy.bundle
 from agents.policy.actor import Actor
-from agents.policy.bundle import MANIFEST, BundleSpec
+from agents.policy.bundle import POLICY_FILE
+from agents.policy.description import BundleSpec
 from agents.policy.weights import Weights
 from agents.residual.controller import ResidualSettings
+from agents.tensor_file import digest_of, read_packed
 
 SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
 
@@ -25,13 +28,13 @@ def new_weights(spec: BundleSpec = SPEC, seed: int | None = None) -> Weights:
     return Actor(spec.shape()).weights()
 
 
-def edit(bundle: Path, *, rehash: bool, **changes: Any) -> None:
-    """Change the manifest, with a fitting content hash (a foreign program's) or without (a hand's)."""
-    content = json.loads((bundle / MANIFEST).read_text())
-    content.update(changes)
+def edit(bundle: Path, tensors: dict[str, np.ndarray] | None = None, *, rehash: bool = True, **changes: Any) -> None:
+    """Change a policy, with a fitting hash (a foreign program's) or without (a hand's)."""
+    content, known = read_packed(bundle / POLICY_FILE, "policy")
+    content, tensors = {**content, **changes}, known if tensors is None else tensors
     if rehash:
-        content["content_hash"] = agents.policy.bundle.content_hash(content)
-    (bundle / MANIFEST).write_text(json.dumps(content))
+        content["sha256"] = digest_of(content, tensors)
+    (bundle / POLICY_FILE).write_bytes(save(tensors, metadata={"policy": json.dumps(content)}))
 
 
 class Exploit:

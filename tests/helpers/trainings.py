@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.learners.registry import ALGORITHMS
+from agents.policy.bundle import read_weights
 from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
@@ -68,10 +69,9 @@ class StopAfter(StopRequest):
         pass
 
 
-def weights(folder: Path) -> bytes:
-    """File of the weights in a bundle."""
-    (path,) = folder.glob("*.safetensors")
-    return path.read_bytes()
+def weights(folder: Path) -> dict[str, bytes]:
+    """Weights of a policy."""
+    return {name: array.tobytes() for name, array in read_weights(folder)[0].arrays.items()}
 
 
 def in_memory() -> tempfile.TemporaryDirectory[str]:

@@ -21,7 +21,7 @@ FLOORS = {
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
         *("iterative yardsticks loops", "registry", "guard tuning"),
     ),
-    "agents": ("residual", "policy", "runs", "learners observer"),
+    "agents": ("tensor_file residual", "policy", "runs", "learners observer"),
     "eval": ("comparison reference", "report", "exports", "studies", "speed"),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.

@@ -5,7 +5,6 @@ Half of what carries a hash gets a fitting one, as from a foreign program, so th
 
 from __future__ import annotations
 
-import hashlib
 import json
 import pickle
 from collections.abc import Callable
@@ -15,14 +14,16 @@ from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
+from safetensors.numpy import save
 
+from agents import tensor_file
 from agents.learners.ppo import PpoConfig
 from agents.policy.actor import Actor
-from agents.policy.bundle import BundleSpec, read_spec, read_weights, save_bundle
-from agents.policy.card import MANIFEST
-from agents.policy.manifest import content_hash
+from agents.policy.bundle import POLICY_FILE, read_weights, save_bundle
+from agents.policy.description import BundleSpec
 from agents.residual.controller import ResidualSettings
 from agents.runs.checkpoint import RunFolder
+from agents.tensor_file import read_packed
 from baselines.gains import FILE as GAINS
 from baselines.gains import tuned
 from baselines.registry import TUNABLE
@@ -67,37 +68,27 @@ def _of_json(
     return Reader(read, damaged)
 
 
-def _rehash_manifest(content: dict[str, Any]) -> None:
-    content["content_hash"] = content_hash(content)
-
-
-def _bundle(folder: Path) -> dict[str, Any]:
-    """Save a small bundle, and return its manifest."""
+def _policy(folder: Path) -> Reader:
+    """Reader of a small policy, whose file or description is damaged."""
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
     spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
     save_bundle(folder, spec, Actor(spec.shape()).weights())
-    return json.loads((folder / MANIFEST).read_text())
-
-
-def _manifest(folder: Path) -> Reader:
-    content = _bundle(folder)
-    return _of_json(lambda: read_spec(folder)[1], folder / MANIFEST, content, _rehash_manifest)
-
-
-def _weights(folder: Path) -> Reader:
-    content = _bundle(folder)
-    name = content["weights"]["file"]
-    data = (folder / name).read_bytes()
+    path = folder / POLICY_FILE
+    data, (content, tensors) = path.read_bytes(), read_packed(path, "policy")
 
     def damaged(rng: Random) -> Damaged:
-        files, fits = {name: damage.damaged_weights(rng, data, folder)}, rng.random() < 0.7
+        if rng.random() < 0.5:
+            return {POLICY_FILE: damage.damaged_weights(rng, data, folder)}, False
+        description, fits = damage.damaged_content(rng, content), rng.random() < 0.7
         if fits:
-            manifest = {**content, "weights": {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}}
-            _rehash_manifest(manifest)
-            files[MANIFEST] = json.dumps(manifest).encode()
-        return files, fits
+            description["sha256"] = tensor_file.digest_of(description, tensors)
+        return {POLICY_FILE: save(tensors, metadata={"policy": json.dumps(description)})}, fits
 
-    return Reader(lambda: {key: array.tolist() for key, array in read_weights(folder)[0].arrays.items()}, damaged)
+    def read() -> object:
+        weights, _, description = read_weights(folder)
+        return description, {name: array.tolist() for name, array in weights.arrays.items()}
+
+    return Reader(read, damaged)
 
 
 def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:
@@ -153,8 +144,7 @@ def _gains(folder: Path) -> Reader:
 
 
 READERS: dict[str, Callable[[Path], Reader]] = {
-    "manifest": _manifest,
-    "weights": _weights,
+    "policy": _policy,
     "options": _options,
     "checkpoint": _checkpoint,
     "scenarios": _scenarios,

@@ -33,7 +33,7 @@ from properties import examples
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
-from agents.policy.bundle import read_weights
+from agents.policy.bundle import POLICY_FILE, read_weights
 from agents.runs.training import train
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.schema import read_results, write_results
@@ -66,7 +66,7 @@ def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
 
 def _train(folder: Path, resume: bool) -> None:
     for kind in ("best", "last"):
-        if resume and (folder / kind / "policy.json").exists():
+        if resume and (folder / kind / POLICY_FILE).exists():
             read_weights(folder / kind)
     config = replace(_PPO, out=folder, resume=resume and (folder / "config.json").exists())
     train(config, ALGORITHMS["ppo"].make_learner)
@@ -77,9 +77,10 @@ def _training(folder: Path) -> dict[str, Any]:
     meaning: dict[str, Any] = {"config.json": json.loads((folder / "config.json").read_text())["identity"]}
     meaning["validation.csv"] = pd.read_csv(folder / "validation.csv").drop(columns="seconds").to_csv()
     for kind in ("best", "last"):
-        _, spec, content = read_weights(folder / kind)
-        curve = [[steps, cost] for steps, _, cost in content["provenance"]["curve"]]
-        meaning[kind] = [replace(spec, provenance={}), content["weights"], curve]
+        weights, spec, _ = read_weights(folder / kind)
+        curve = [[steps, cost] for steps, _, cost in spec.provenance["curve"]]
+        arrays = {name: array.tolist() for name, array in weights.arrays.items()}
+        meaning[kind] = [replace(spec, provenance={}), arrays, curve]
     written = (*folder.glob("*"), *folder.glob("*/*"))
     names = {str(path.relative_to(folder)) for path in written if not path.name.startswith((".", "progress", "events"))}
     return meaning | dict.fromkeys(names - {*meaning})

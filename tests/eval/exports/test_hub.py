@@ -22,13 +22,13 @@ from agents.policy.actor import Actor
 from agents.policy.bundle import (
     CARD,
     FELT_POLICIES,
-    MANIFEST,
     POLICIES,
-    BundleSpec,
+    POLICY_FILE,
     load_controller,
     read_spec,
     save_bundle,
 )
+from agents.policy.description import BundleSpec
 from agents.residual.controller import ResidualSettings
 from beltarm_env.rollout import rollout
 from eval import export
@@ -43,7 +43,6 @@ ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "docs/examples/from_the_hub.py"
 POLICY = POLICIES / "ppo/seed1"
 EPISODES = 4
-BUNDLE = {MANIFEST, read_spec(POLICY)[1]["weights"]["file"]}
 
 
 def published() -> dict[str, Any]:
@@ -83,9 +82,9 @@ def test_the_folder_of_a_shipped_policy(
     monkeypatch.setattr(hub, "PUBLISHED", few)
     share(str(POLICY), "--repo-id", "some-lab/arm.1", "--onnx", folder=tmp_path)
     folder = tmp_path / "results/hub/arm.1"
-    assert {path.name for path in folder.iterdir()} == {*BUNDLE, CARD, CONFIG, EXCERPT, MODEL, ".gitattributes"}
+    assert {path.name for path in folder.iterdir()} == {POLICY_FILE, CARD, CONFIG, EXCERPT, MODEL, ".gitattributes"}
     assert "hf upload some-lab/arm.1 results/hub/arm.1\n" in capsys.readouterr().out
-    assert all((folder / name).read_bytes() == (POLICY / name).read_bytes() for name in BUNDLE)
+    assert (folder / POLICY_FILE).read_bytes() == (POLICY / POLICY_FILE).read_bytes()
 
     arms = choose_set("test").splits["randomized"].arguments(slice(EPISODES))
     reward = -rollout(load_controller(folder), EPISODES, **arms).cost
@@ -103,7 +102,7 @@ def test_the_folder_of_a_shipped_policy(
     assert excerpt["results_sha256"] == hashlib.sha256(few.read_bytes()).hexdigest()
     assert {row["method"] for row in excerpt["rows"]} == {"ppo", "adaptive"} and len(excerpt["rows"]) == 18
     config = json.loads((folder / CONFIG).read_text())
-    assert config["content_hash"] == read_spec(POLICY)[1]["content_hash"] and config["manifest"] == MANIFEST
+    assert config["sha256"] == read_spec(POLICY)[1]["sha256"] and config["policy"] == POLICY_FILE
 
 
 def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -123,7 +122,7 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     content = published()
     row = next(row for row in content["rows"] if (row["method"], row["split"]) == ("ppo", "nominal"))
     rows = [{**row, "method": name, "seeds": 1} for name in ("my-ppo+guard", "my-ppo")]
-    provenance = {**content["provenance"], "policies": 2 * [read_spec(own)[1]["content_hash"]]}
+    provenance = {**content["provenance"], "policies": 2 * [read_spec(own)[1]["sha256"]]}
     path = written(tmp_path / "own.json", rows=rows, paired=[], provenance=provenance)
     (tmp_path / "out" / "left.txt").touch()
     assert "--overwrite" in refusal(*arguments, "--results", str(path), folder=tmp_path)
@@ -245,14 +244,13 @@ def test_nothing_beside_a_policy_is_read_run_or_offered(
     hostile: Path, watched: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
 ):
     assert example(str(hostile), folder=hostile) == (0, "")
-    weights = read_spec(hostile)[1]["weights"]["file"]
     inside = {name for _, name in watched if name.startswith(str(hostile))}
-    assert inside == {str(hostile / MANIFEST), str(hostile / weights)}
+    assert inside == {str(hostile / POLICY_FILE)}
     assert not [event for event in watched if event[0] == "pickle.find_class" and "Path" in event[1]]
     assert capsys.readouterr().out.startswith("ppo on paper: cost ")
     share(str(hostile), "--out", "../out", folder=hostile)
     offered = {path.name for path in (hostile.parent / "out").iterdir()}
-    assert offered == {MANIFEST, weights, CARD, CONFIG, ".gitattributes"}
+    assert offered == {POLICY_FILE, CARD, CONFIG, ".gitattributes"}
     assert not (hostile.parent / "executed").exists()
 
 
@@ -261,14 +259,14 @@ def test_the_hub_is_asked_for_the_policy_alone(tmp_path: Path, monkeypatch: pyte
     code, errors = example("--repo-id", "lab/arm", folder=tmp_path)
     assert code == 2 and "pip install huggingface_hub" in errors and errors.count("\n") == 1
 
-    def snapshot_download(repo_id: str, allow_patterns: list[str]) -> str:
+    def snapshot_download(repo_id: str, allow_patterns: str) -> str:
         """A snapshot as the Hub's cache has it: links to files that are named by their hash."""
         snapshot = tmp_path / "snapshots"
         snapshot.mkdir()
-        for path in [path for path in POLICY.iterdir() if any(path.match(pattern) for pattern in allow_patterns)]:
-            kept = shutil.copy(path, tmp_path / hashlib.sha256(path.read_bytes()).hexdigest())
-            (snapshot / path.name).symlink_to(kept)
-        assert repo_id == "lab/arm" and {path.name for path in snapshot.iterdir()} == BUNDLE
+        path = POLICY / allow_patterns
+        kept = shutil.copy(path, tmp_path / hashlib.sha256(path.read_bytes()).hexdigest())
+        (snapshot / path.name).symlink_to(kept)
+        assert repo_id == "lab/arm"
         return str(snapshot)
 
     monkeypatch.setitem(sys.modules, "huggingface_hub", SimpleNamespace(snapshot_download=snapshot_download))

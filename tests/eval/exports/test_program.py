@@ -171,7 +171,7 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert manifest["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert b"ei_init" in files["README.md"] and b"-ffp-contract=off" in files["README.md"]
     title = write(PPO, "--no-check", cwd=tmp_path)["title"]
-    assert "content hash" in title and "guard" in title
+    assert "SHA-256" in title and "guard" in title
     assert "guard" not in write("paper", "--no-check", "--no-guard", cwd=tmp_path)["title"]
     assert {path.name for path in (tmp_path / "made").glob("*.[ch]")} == {"paper.c", "paper.h", "in_the_loop.c"}
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
