@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.policy.bundle import POLICIES, POLICY_FILE, bundle_files, read_spec
+from agents.policy.description import BundleSpec
 from agents.policy.together import are_alike, load_together
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
@@ -23,6 +24,7 @@ from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
 
+_Read = tuple[Path, BundleSpec, dict[str, Any]]  # folder of a policy, and what is in it
 Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
 PRIMARY = ("student", "adaptive")
@@ -169,7 +171,7 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
         BundleError: If a policy is missing or damaged.
         ValueError: If a policy needs other sensors than the encoder, or is an archive of Stable-Baselines3.
     """
-    grouped: dict[str, list[Path]] = {}
+    grouped: dict[str, list[_Read]] = {}
     for policy in policies:
         *given, path = str(policy).split("=", 1)
         folder = Path(path)
@@ -178,7 +180,7 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
                 f"{folder} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
                 "controller, and give that with --add (README.md, 'A model of your own')"
             )
-        spec, _ = read_spec(folder)
+        spec, content = read_spec(folder)
         if spec.sensors != "encoder":
             raise ValueError(
                 f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
@@ -186,18 +188,17 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
         usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
             usual = folder.resolve().parent.name
-        grouped.setdefault("".join(given) or usual, []).append(folder.resolve())
+        grouped.setdefault("".join(given) or usual, []).append((folder.resolve(), spec, content))
     return [_learned(name, members) for name, members in grouped.items()]
 
 
-def _learned(name: str, folders: list[Path]) -> Method:
-    if len({folder.is_relative_to(POLICIES) for folder in folders}) > 1:
+def _learned(name: str, members: list[_Read]) -> Method:
+    if len({folder.is_relative_to(POLICIES) for folder, *_ in members}) > 1:
         raise ValueError(f"{name!r} is the name of a shipped method: give your policy another, as NAME=FOLDER")
-    read = [read_spec(folder) for folder in folders]
-    bases = {spec.base for spec, _ in read}
+    bases = {spec.base for _, spec, _ in members}
     if len(bases) > 1:
         raise ValueError(f"the policies of {name} correct different controllers: {', '.join(sorted(bases))}")
-    runs = [(spec.provenance.get("run", {}), spec.residual.hold) for spec, _ in read]
+    runs = [(spec.provenance.get("run", {}), spec.residual.hold) for _, spec, _ in members]
     base = bases.pop()
     base_steps = _tuning_of(read_file().get(base or "", {})).get("simulator_steps", [])
     training = {
@@ -205,8 +206,8 @@ def _learned(name: str, folders: list[Path]) -> Method:
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
         **({"base_steps": base_steps} if base_steps else {}),
     }
-    identity = _hash([[content["sha256"] for _, content in read], _all_gains()])
-    return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
+    identity = _hash([[content["sha256"] for *_, content in members], _all_gains()])
+    return Method(name, "learned", tuple(str(folder) for folder, *_ in members), identity, training, base)
 
 
 def shipped_policies() -> list[Path]:

@@ -16,6 +16,8 @@ import agents
 import baselines
 import beltarm_env
 import eval
+from agents.policy.bundle import load_controller
+from baselines import CONTROLLERS
 from baselines.engines import parallel
 from baselines.engines.isolated import run_isolated
 from baselines.tools.progress import progress_count
@@ -98,8 +100,9 @@ def shipped_methods(names: Sequence[str] = ()) -> list[Method]:
 
 def shipped_controller(name: str) -> Controller:
     """Make a shipped controller; of a learned method that of its first training seed."""
-    (method,) = shipped_methods((name,))
-    return method.controller(0, [])
+    if name in CONTROLLERS:
+        return CONTROLLERS[name]()
+    return load_controller(next(folder for folder in shipped_policies() if folder.parent.name == name))
 
 
 class Recorder(Generic[Note]):

@@ -117,6 +117,7 @@ def test_wheel_holds_the_environment_alone_and_asks_for_its_dependencies(built: 
     assert set(needed) == DEPENDENCIES
 
 
+@pytest.mark.slow
 def test_the_same_sources_give_the_same_bytes(built: dict[str, Path], tmp_path: Path):
     """Whatever the folder, the times and modes of its files, and the umask."""
     checkout, made = tmp_path / "elsewhere", tmp_path / "dist"

@@ -36,7 +36,7 @@ from eval.studies.loops import costs
 
 ORACLE = "privileged"
 """Name of the controller that knows arm and state; never ranked."""
-QUICK = {"names": ("paper", "ei"), "arms": 8, "batch": 2}
+QUICK = {"names": ("ei",), "arms": 8, "batch": 2}
 ARMS = tuple(CORNERS)
 """Arms that loops are looked at on; the first is the design model."""
 NONE_LEFT = {"gain_up": 1.0, "gain_down": 1.0, "phase": 0.0, "delay": 0.0, "modulus": 0.0}
