@@ -86,15 +86,10 @@ class ScalarController(ClassicalController[Floats]):
     def kernel(self) -> LawKernel:
         """The law for one arm, with a memory of shape (memory_size,)."""
 
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        """Run the kernel for all arms; memory of shape (n, memory_size) and torques of shape (n,) are written."""
-        law, design, _ = self.kernel()
-        _run_law(law, design, reading, begins, memory, torques)
-
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        count = len(begins)
+        count, (law, design, _) = len(begins), self.kernel()
         memory = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
         torques = np.empty(count)
-        self._run(reading, begins, memory, torques)
+        _run_law(law, design, reading, begins, memory, torques)
         return torques, memory

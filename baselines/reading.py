@@ -29,6 +29,9 @@ class Reading(NamedTuple):
     acceleration: Floats | None  # of the tip along and across the hand [m/s^2], (n, 2); of "accelerometer" alone
 
 
+_MOVE_FIELD = Reading._fields.index("move")
+
+
 class Sample(NamedTuple):
     """Measurements and reference of one arm, as a kernel sees them; fields as of `Reading`."""
 
@@ -50,21 +53,10 @@ class Sample(NamedTuple):
 @inlined
 def sample_of(reading: Reading, arm: int) -> Sample:
     """What one arm of a batch reads."""
-    return Sample(
-        reading.angle_error[arm],
-        reading.speed_error[arm],
-        reading.motor_angle[arm],
-        reading.motor_speed[arm],
-        reading.reference_angle[arm],
-        reading.reference_speed[arm],
-        reading.reference_acceleration[arm],
-        reading.move[arm, 0],
-        reading.move[arm, 1],
-        reading.move[arm, 2],
-        reading.move[arm, 3],
-        reading.step[arm],
-        reading.last_command[arm],
-    )
+    parts: Any = reading
+    measured = (part[arm] for part in parts[:_MOVE_FIELD])
+    move = (reading.move[arm, k] for k in range(4))
+    return Sample._make((*measured, *move, reading.step[arm], reading.last_command[arm]))
 
 
 _SCALES = observation.scales()

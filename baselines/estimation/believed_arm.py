@@ -106,35 +106,7 @@ Constants = namedtuple("Constants", FIELDS)
 @inlined
 def constants_of(constants: Floats, lane: int) -> Any:
     """Load the constants of one lane."""
-    return Constants(
-        constants[lane],
-        constants[LANES + lane],
-        constants[2 * LANES + lane],
-        constants[3 * LANES + lane],
-        constants[4 * LANES + lane],
-        constants[5 * LANES + lane],
-        constants[6 * LANES + lane],
-        constants[7 * LANES + lane],
-        constants[8 * LANES + lane],
-        constants[9 * LANES + lane],
-        constants[10 * LANES + lane],
-        constants[11 * LANES + lane],
-        constants[12 * LANES + lane],
-        constants[13 * LANES + lane],
-        constants[14 * LANES + lane],
-        constants[15 * LANES + lane],
-        constants[16 * LANES + lane],
-        constants[17 * LANES + lane],
-        constants[18 * LANES + lane],
-        constants[19 * LANES + lane],
-        constants[20 * LANES + lane],
-        constants[21 * LANES + lane],
-        constants[22 * LANES + lane],
-        constants[23 * LANES + lane],
-        constants[24 * LANES + lane],
-        constants[25 * LANES + lane],
-        constants[26 * LANES + lane],
-    )
+    return Constants._make(constants[k * LANES + lane] for k in range(len(FIELDS)))
 
 
 @compiled

@@ -72,27 +72,14 @@ def simulation_room(size: int) -> Simulation:
     """Room for simulations of arms of which z has `size` entries."""
     shapes, fields = 2 * len(ORDERS), len(FIELDS)
     rows = (_ROWS, _ROWS, BUILT_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
-    room = Simulation(*(np.zeros(count * LANES) for count in rows))
+    room = Simulation._make(np.zeros(count * LANES) for count in rows)
     return room if size > SIZE else room._replace(velocities=np.zeros(2))
 
 
 @compiled
 def simulation_of(rooms: Simulation, thread: int) -> Simulation:
     """Room of one thread, from arrays whose first axis is that of threads."""
-    return Simulation(
-        rooms.loaded[thread],
-        rooms.block[thread],
-        rooms.work[thread],
-        rooms.actions[thread],
-        rooms.velocities[thread],
-        rooms.z[thread],
-        rooms.constants[thread],
-        rooms.perturbed[thread],
-        rooms.shapes[thread],
-        rooms.other_shapes[thread],
-        rooms.ripple[thread],
-        rooms.other_ripple[thread],
-    )
+    return Simulation._make(part[thread] for part in rooms)
 
 
 @compiled

@@ -97,15 +97,7 @@ def vector_rooms(threads: int, felt: bool) -> tuple[Room, Floats]:
 @compiled
 def room_of(rooms: Room, thread: int) -> Room:
     """Room of one thread, see `vector_rooms`."""
-    return Room(
-        simulation_of(rooms.simulation, thread),
-        rooms.predicted[thread],
-        rooms.jacobian[thread],
-        rooms.half[thread],
-        rooms.noise[thread],
-        rooms.row[thread],
-        rooms.gain[thread],
-    )
+    return Room(simulation_of(rooms.simulation, thread), *(part[thread] for part in rooms[1:]))
 
 
 def filter_design(params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> Design:

@@ -179,9 +179,8 @@ def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> N
 @compiled
 def _some_notes(notes: Notes, low: int, high: int) -> Notes:
     """What is known of some arms."""
-    of = notes.tracks
-    tracks = Tracks(of.mean[low:high], of.covariance[low:high], of.surprise[low:high], of.unrest[low:high])
-    return Notes(tracks, notes.counts[low:high], notes.angle[low:high], notes.commands[low:high])
+    tracks = Tracks._make(part[low:high] for part in notes.tracks)
+    return Notes(tracks, *(part[low:high] for part in notes[1:]))
 
 
 @compiled
@@ -233,13 +232,7 @@ def identify_all(
                 new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
             for k in range(HISTORY):
                 new.commands[arm, k] = old.commands[arm, k]
-        some = Inputs(
-            inputs.angle[low:high],
-            inputs.command[low:high],
-            inputs.begins[low:high],
-            inputs.felt[low:high],
-            inputs.felt_variance[low:high],
-        )
+        some = Inputs._make(part[low:high] for part in inputs)
         if _note(design, some, new, work):
             _predict(design, new, work)
             for arm in range(high - low):
@@ -289,12 +282,11 @@ def estimate_all(
     thread: int, design: Design, notes: Notes, result: Estimate, taken: Integers, works: Workspace
 ) -> None:
     """Write what controllers need to know of any number of arms, as `estimate`; in threads as `identify_all`."""
-    states, delay, logs, table = result
     work = _workspace_of(works, thread)
     while True:
-        low = take_block(taken, thread, -(-len(delay) // ARMS)) * ARMS
+        low = take_block(taken, thread, -(-len(result.delay) // ARMS)) * ARMS
         if low < 0:
             break
-        high = min(low + ARMS, len(delay))
-        some = Estimate(states[low:high], delay[low:high], logs[low:high], table[low:high])
+        high = min(low + ARMS, len(result.delay))
+        some = Estimate._make(part[low:high] for part in result)
         estimate(design, _some_notes(notes, low, high), work, some)

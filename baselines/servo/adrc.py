@@ -39,11 +39,11 @@ from baselines.models.flatness import CORNERS, SpreadGains, write_corners
 from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import move_of
 from baselines.models.rigid_arm import inertia_at, motor_errors
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from baselines.servo.flat import held_torque, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.timing import MAX_LATENCY
 
@@ -168,12 +168,6 @@ def adrc_law(design: AdrcDesign, now: Sample, begins: bool, memory: Floats) -> f
     return added + push
 
 
-@compiled
-def _run(design: AdrcDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = adrc_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class AdrcController(ScalarController):
     """Active disturbance rejection about a flat motion, on encoder observations.
 
@@ -197,6 +191,3 @@ class AdrcController(ScalarController):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(adrc_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

@@ -42,10 +42,10 @@ from baselines.models.actuator import dead_time
 from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import link_torque, motor_errors
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 
 LOAD, FAST_LOAD, MOTOR_SPEED, KNOWN, HELD = range(5)
@@ -107,12 +107,6 @@ def disturbance_law(design: DisturbanceDesign, now: Sample, begins: bool, memory
     return plant.gear * led.acceleration / plant.inverse_motor_inertia + push + known + memory[LOAD]
 
 
-@compiled
-def _run(design: DisturbanceDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = disturbance_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class DisturbanceController(ScalarController):
     """PD with disturbance observer and torsion-torque feedback.
 
@@ -135,6 +129,3 @@ class DisturbanceController(ScalarController):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(disturbance_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

@@ -25,11 +25,11 @@ from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.ramps import move_of
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from baselines.servo.pid import INTEGRAL, PLAN, PidDesign, PidGains, PidServo, pid_torque
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import Reference
 
@@ -77,12 +77,6 @@ def flat_law(design: FlatDesign, now: Sample, begins: bool, memory: Floats) -> f
     return pid_torque(design.pid, now, wanted, led, held_torque(corners, later, plant), memory)
 
 
-@compiled
-def _run(design: FlatDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = flat_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class FlatController(PidServo):
     """PID about a flat motion.
 
@@ -101,6 +95,3 @@ class FlatController(PidServo):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(flat_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

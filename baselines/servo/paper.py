@@ -27,10 +27,10 @@ import numpy as np
 
 from baselines.controller import LawKernel, ScalarController
 from baselines.models.linear import turning_load
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import exponential, sine_cosine
 
@@ -123,12 +123,6 @@ def paper_law(design: PaperDesign, now: Sample, begins: bool, memory: Floats) ->
     return u_1 / plant.inverse_motor_inertia + friction - design.torsion_speed * rate
 
 
-@compiled
-def _run(design: PaperDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = paper_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class PaperController(ScalarController):
     """Eq. (11) on encoder observations. `PaperController(gains=PaperGains(torsion_speed=0))` is the rigid ablation.
 
@@ -147,9 +141,6 @@ class PaperController(ScalarController):
     def kernel(self) -> LawKernel:
         """Eq. (11) for one arm."""
         return LawKernel(paper_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

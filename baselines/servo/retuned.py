@@ -33,11 +33,11 @@ from baselines.models.actuator import dead_time
 from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from baselines.servo.paper import PaperController, simulated_rate
 from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 
 
@@ -74,12 +74,6 @@ def retuned_law(design: RetunedDesign, now: Sample, begins: bool, memory: Floats
     return rigid_torque(led, plant) + plant.viscous_friction * speed + friction + push
 
 
-@compiled
-def _run(design: RetunedDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = retuned_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class RetunedController(ScalarController):
     """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own.
 
@@ -100,6 +94,3 @@ class RetunedController(ScalarController):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(retuned_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

@@ -37,10 +37,10 @@ from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, move_of
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
 from beltarm_env import ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
 
@@ -139,12 +139,6 @@ def shaping_law(design: ShapingDesign, now: Sample, begins: bool, memory: Floats
     return ramp_torque(design.pid, now, ramps, 2 * len(design.shares), False, memory)
 
 
-@compiled
-def _run(design: ShapingDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = shaping_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class ShapingController(PidServo):
     """PID along a shaped trapezoid.
 
@@ -175,6 +169,3 @@ class ShapingController(PidServo):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(shaping_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

@@ -26,10 +26,10 @@ from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps, move_of
-from baselines.reading import Reading, Sample, sample_of
+from baselines.reading import Sample
 from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
 from beltarm_env import ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
@@ -71,12 +71,6 @@ def smooth_law(design: SmoothDesign, now: Sample, begins: bool, memory: Floats) 
     return ramp_torque(design.pid, now, ramps, 2, True, memory)
 
 
-@compiled
-def _run(design: SmoothDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-    for i in range(len(begins)):
-        torques[i] = smooth_law(design, sample_of(reading, i), begins[i], memory[i])
-
-
 class SmoothController(PidServo):
     """PID along an S-curve.
 
@@ -95,6 +89,3 @@ class SmoothController(PidServo):
     def kernel(self) -> LawKernel:
         """The law for one arm."""
         return LawKernel(smooth_law, self._design, np.zeros(self.memory_size))
-
-    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
-        _run(self._design, reading, begins, memory, torques)

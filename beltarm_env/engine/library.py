@@ -23,6 +23,7 @@ from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from beltarm_env.engine import building, shipped
@@ -74,18 +75,23 @@ def announce() -> None:
 
 def words_of(function: Callable[..., Any], types: Types, checked: bool) -> list[Any] | None:
     """Words for a kernel and types; None of one whose text the sources do not decide about."""
-    package = function.__module__.partition(".")[0]
     spec, constants = types
-    packages = {package, *(one.__module__.partition(".")[0] for one in constants if isinstance(one, type))} - {
-        "builtins"
-    }
-    known = packages <= set(_PROJECT) and all(isinstance(one, type) for one in constants)
-    if not known or function.__closure__ or "<" in function.__qualname__:
+    of_constants = [getattr(one, "py_func", one) for one in constants]  # classes, and kernels that are arguments
+    made_of = [function, *of_constants]
+    if not all(isinstance(one, type | FunctionType) and _is_of_a_module(one) for one in made_of):
         return None
-    names = [f"{one.__module__}.{one.__qualname__}" for one in constants]
+    packages = {one.__module__.partition(".")[0] for one in made_of} - {"builtins"}
+    if not packages <= set(_PROJECT):
+        return None
+    names = [f"{one.__module__}.{one.__qualname__}" for one in of_constants]
     highest = max(map(_PROJECT.index, packages))
     own = getattr(function, "constants", None)
     return [_PROJECT[highest], function.__module__, function.__qualname__, own, spec, names, checked]
+
+
+def _is_of_a_module(made: Any) -> bool:
+    """Tell whether a class or function is what a module says, and does not depend on a call that made it."""
+    return "<" not in made.__qualname__ and not getattr(made, "__closure__", None)
 
 
 def _shipped(words: list[Any] | None) -> tuple[dict[str, Any], Path | None] | tuple[None, None]:

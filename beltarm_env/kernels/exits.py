@@ -32,26 +32,15 @@ EXIT_ROWS = _DIPS + 1
 def load_margin(work: Floats, row: int, lane: int) -> Margin:
     """Load the margin of one lane, from six rows starting at `row`."""
     at = row * LANES + lane
-    return Margin(
-        work[at],
-        work[at + LANES],
-        work[at + 2 * LANES],
-        work[at + 3 * LANES],
-        work[at + 4 * LANES],
-        work[at + 5 * LANES],
-    )
+    return Margin._make(work[at + k * LANES] for k in range(len(Margin._fields)))
 
 
 @inlined
 def store_margin(work: Floats, row: int, lane: int, m: Margin) -> None:
     """Write a margin to six rows starting at `row`."""
     at = row * LANES + lane
-    work[at] = m.c0
-    work[at + LANES] = m.c1
-    work[at + 2 * LANES] = m.c2
-    work[at + 3 * LANES] = m.c3
-    work[at + 4 * LANES] = m.amplitude
-    work[at + 5 * LANES] = m.exponent
+    for k, value in enumerate(m):
+        work[at + k * LANES] = value
 
 
 @compiled

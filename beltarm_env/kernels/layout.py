@@ -128,38 +128,22 @@ def whole_vectors(count: int) -> int:
 def load_state(block: NDArray[np.float64], row: int, lane: int) -> ArmState:
     """Load the state of one lane, from four rows starting at `row`."""
     at = row * LANES + lane
-    return ArmState(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+    return ArmState._make(block[at + k * LANES] for k in range(len(ArmState._fields)))
 
 
 @inlined
 def store_state(block: NDArray[np.float64], row: int, lane: int, x: ArmState) -> None:
     """Write a lane's state to four rows starting at `row`."""
     at = row * LANES + lane
-    block[at] = x.motor_angle
-    block[at + LANES] = x.motor_speed
-    block[at + 2 * LANES] = x.torsion
-    block[at + 3 * LANES] = x.torsion_speed
+    for k, value in enumerate(x):
+        block[at + k * LANES] = value
 
 
 @inlined
 def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
     """Load the plant coefficients of one lane."""
     at = PLANT * LANES + lane
-    return Plant(
-        block[at],
-        block[at + LANES],
-        block[at + 2 * LANES],
-        block[at + 3 * LANES],
-        block[at + 4 * LANES],
-        block[at + 5 * LANES],
-        block[at + 6 * LANES],
-        block[at + 7 * LANES],
-        block[at + 8 * LANES],
-        block[at + 9 * LANES],
-        block[at + 10 * LANES],
-        block[at + 11 * LANES],
-        block[at + 12 * LANES],
-    )
+    return Plant._make(block[at + k * LANES] for k in range(len(Plant._fields)))
 
 
 @inlined
@@ -174,85 +158,42 @@ def drive_among(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive 
 def load_drive(block: NDArray[np.float64], lane: int) -> Drive:
     """Load the coefficients of one lane's drive as it is built."""
     at = DRIVE * LANES + lane
-    return Drive(
-        block[at],
-        block[at + LANES],
-        block[at + 2 * LANES],
-        block[at + 3 * LANES],
-        block[at + 4 * LANES],
-        block[at + 5 * LANES],
-        block[at + 6 * LANES],
-        block[at + 7 * LANES],
-        block[at + 8 * LANES],
-        block[at + 9 * LANES],
-        block[at + 10 * LANES],
-    )
+    return Drive._make(block[at + k * LANES] for k in range(len(Drive._fields)))
 
 
 @inlined
 def load_stages(block: NDArray[np.float64], row: int, lane: int) -> Stages:
     """Load a number for each stage of a step, from six rows starting at `row`."""
     at = row * LANES + lane
-    return Stages(
-        block[at],
-        block[at + LANES],
-        block[at + 2 * LANES],
-        block[at + 3 * LANES],
-        block[at + 4 * LANES],
-        block[at + 5 * LANES],
-    )
+    return Stages._make(block[at + k * LANES] for k in range(len(Stages._fields)))
 
 
 @inlined
 def store_stages(block: NDArray[np.float64], row: int, lane: int, stages: Stages) -> None:
     """Write a number for each stage of a step to six rows starting at `row`."""
     at = row * LANES + lane
-    block[at] = stages.first
-    block[at + LANES] = stages.second
-    block[at + 2 * LANES] = stages.third
-    block[at + 3 * LANES] = stages.fourth
-    block[at + 4 * LANES] = stages.end
-    block[at + 5 * LANES] = stages.half
+    for k, value in enumerate(stages):
+        block[at + k * LANES] = value
 
 
 @inlined
 def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
     """Load the move of one lane."""
     at = MOVE * LANES + lane
-    return MoveShape(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+    return MoveShape._make(block[at + k * LANES] for k in range(len(MoveShape._fields)))
 
 
 @inlined
 def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
     """Write a lane's plant coefficients."""
     at = PLANT * LANES + lane
-    block[at] = plant.inverse_gear
-    block[at + LANES] = plant.inverse_motor_inertia
-    block[at + 2 * LANES] = plant.viscous_friction
-    block[at + 3 * LANES] = plant.coulomb_friction
-    block[at + 4 * LANES] = plant.inertia
-    block[at + 5 * LANES] = plant.inertia_swing
-    block[at + 6 * LANES] = plant.link_inertia
-    block[at + 7 * LANES] = plant.stiffness
-    block[at + 8 * LANES] = plant.damping
-    block[at + 9 * LANES] = plant.gear
-    block[at + 10 * LANES] = plant.double_link
-    block[at + 11 * LANES] = plant.hand
-    block[at + 12 * LANES] = plant.torque_limit
+    for k, value in enumerate(plant):
+        block[at + k * LANES] = value
 
 
 @inlined
 def store_drive(block: NDArray[np.float64], lane: int, drive: Drive) -> None:
     """Write a lane's drive coefficients."""
     at = DRIVE * LANES + lane
-    block[at] = drive.static_excess
-    block[at + LANES] = drive.inverse_stribeck_speed
-    block[at + 2 * LANES] = drive.friction_sin
-    block[at + 3 * LANES] = drive.friction_cos
-    block[at + 4 * LANES] = drive.ripple
-    block[at + 5 * LANES] = drive.ripple_order
-    block[at + 6 * LANES] = drive.ripple_phase
-    block[at + 7 * LANES] = drive.error_sin
-    block[at + 8 * LANES] = drive.error_cos
-    block[at + 9 * LANES] = drive.softening
-    block[at + 10 * LANES] = drive.knee
+    for k, value in enumerate(drive):
+        block[at + k * LANES] = value

@@ -71,6 +71,8 @@ def contents(value: Any) -> Any:
         return bool(value)
     if isinstance(value, float | np.floating):
         return np.float64(value).tobytes()
+    if callable(value):
+        return getattr(value, "py_func", value).__qualname__
     return int(value) if isinstance(value, np.integer) else value if isinstance(value, int | None) else repr(value)
 
 

@@ -67,7 +67,7 @@ class Calls(Expressions):
         raise TranslationError(f"{ast.unparse(node.func)} is not translated: {ast.unparse(node)}")
 
     def _method(self, node: ast.Call) -> Value | None:
-        """Evaluate `.copy()` of an array or `._replace()` of a named tuple; None of anything else."""
+        """Evaluate `.copy()` of an array, and `_replace()` and `_make()` of named tuples; None of anything else."""
         assert isinstance(node.func, ast.Attribute)
         if node.func.attr == "copy" and not node.args:
             owner = self.value(node.func.value)
@@ -81,6 +81,9 @@ class Calls(Expressions):
             if isinstance(owner, Array) and len(owner.shape) == 1 and list(map(ast.unparse, node.args)) == ["1", "-1"]:
                 (size,), (stride,) = owner.shape, owner.strides
                 return replace(owner, shape=(1, size), strides=(arrays.times(size, stride), stride))
+        if node.func.attr == "_make":
+            (entries,) = node.args
+            return self.tuple_of(parts_of(self.held(self.value(entries))), constant(self.value(node.func.value)))
         if node.func.attr == "_replace":
             owner = self.value(node.func.value)
             changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
@@ -215,6 +218,14 @@ def _length(self: Calls, value: Value) -> Value:
     return Const(len(parts_of(value)))
 
 
+def _range(self: Calls, *bounds: Value) -> Value:
+    return Const(tuple(range(*map(constant, bounds))))
+
+
+def _numbered(self: Calls, value: Value) -> Value:
+    return self.tuple_of([self.tuple_of([Const(k), part]) for k, part in enumerate(parts_of(self.held(value)))])
+
+
 def _converts(dtype: str) -> Callable[..., Value]:
     def convert(self: Calls, value: Value) -> Value:
         if isinstance(value, Const) and dtype != SINGLE:
@@ -306,7 +317,8 @@ def _square(self: Calls, value: Value) -> Value:
 
 
 TRANSLATED: dict[Any, Callable[..., Value]] = {
-    **{max: _largest, min: _least, abs: _absolute, len: _length, np.abs: _absolute, math.fabs: _absolute},
+    **{max: _largest, min: _least, abs: _absolute, np.abs: _absolute, math.fabs: _absolute},
+    **{len: _length, range: _range, enumerate: _numbered},
     **{int: _converts(INT), float: _converts(REAL), bool: _converts(BOOL)},
     **{np.float64: _converts(REAL), np.float32: _converts(SINGLE), np.int64: _converts(INT)},
     **{np.uint64: _converts(UNSIGNED), slice: _slice, words.add: _add, words.look: _look},

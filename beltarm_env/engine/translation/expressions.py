@@ -91,6 +91,9 @@ class Expressions(Scope):
         if isinstance(owner, Lazy):
             raise TranslationError(f"an array expression cannot be indexed: {ast.unparse(node)}")
         (at,) = index
+        if isinstance(at, tuple) and all(end is None or isinstance(end, Const) for end in at):
+            chosen = slice(*(end and end.value for end in at))
+            return self.tuple_of(parts_of(owner)[chosen])
         if not isinstance(at, Const):
             if isinstance(owner, Const) and all(isinstance(entry, NUMBERS) for entry in owner.value):
                 return arrays.view(self.table(np.array(owner.value), owner.name), index)
@@ -131,6 +134,22 @@ class Expressions(Scope):
         for value, node in zip(self.in_order(plain), nodes, strict=True):
             found += parts_of(value) if isinstance(node, ast.Starred) else [value]
         return found
+
+    def _generatorexp(self, node: ast.GeneratorExp) -> Value:
+        """Make a tuple of what a generator gives for each entry of another tuple."""
+        generator, *others = node.generators
+        if others or generator.ifs or not isinstance(generator.target, ast.Name):
+            raise TranslationError(f"a generator has one name, and no condition: {ast.unparse(node)}")
+        name, found = generator.target.id, list[Value]()
+        before = self.names.get(name)
+        for part in parts_of(self.held(self.value(generator.iter))):
+            self.names[name] = part
+            first, value = self.then(Group(None, tuple(("", one) for one in found)), node.elt)
+            found = [*parts_of(first), value]
+        self.names.pop(name, None)
+        if before is not None:
+            self.names[name] = before
+        return self.tuple_of(found)
 
     def in_order(self, nodes: list[ast.expr]) -> list[Value]:
         """Evaluate expressions one after the other; what is read before a call is not what it changes."""

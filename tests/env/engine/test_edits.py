@@ -22,6 +22,8 @@ ORDERED = (
     "def law(x):\n    return of(Gains(2.0, 9.0), x)\n"
 )
 CLOSURE = "def made(k):\n    @compiled\n    def law(x):\n        return k * x\n    return law\n\nlaw = made({0})\n"
+GIVEN = "@compiled\ndef double(x):\n    return {0} * x\n\n@compiled\ndef of(rule, x):\n    return rule(x)\n\n"
+GIVEN += "def law(x):\n    return of(double, x)\n"
 FIELDS = {"2.0": "a: float\n    b: float", "9.0": "b: float\n    a: float"}
 MADE_OF: dict[str, dict[str, str]] = {
     "an equation": {"mine": LAW.replace("{1}", "").replace("{2}", "{0} * x")},
@@ -37,6 +39,7 @@ MADE_OF: dict[str, dict[str, str]] = {
     "a table": {"mine": LAW.replace("{1}", "T = np.array([1.0, {0}])").replace("{2}", "T[1] * x")},
     "a tuple": {"mine": LAW.replace("{1}", "T = (1.0, ({0}, 2))").replace("{2}", "T[1][0] * x")},
     "a closure": {"mine": HEAD + CLOSURE},
+    "a kernel that is an argument": {"mine": HEAD + GIVEN},
     "a default": {"mine": HEAD + "@compiled\ndef law(x, gain={0}):\n    return gain * x\n"},
     "fields in their order": {"mine": ORDERED},
     "nothing that is edited": {"mine": LAW.replace("{1}", "K = 1.5").replace("{2}", "K * x")},

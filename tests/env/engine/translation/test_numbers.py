@@ -294,6 +294,17 @@ def tuples_taken(around: Range, x: float) -> tuple[float, ...]:
     return chosen.low, width(chosen, 1.5), either.low, either.high, around.times
 
 
+@case(*[(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])
+def entries_one_by_one(around: Range, x: float) -> tuple[Any, ...]:
+    k = 7
+    pair = Pair(*(number * x for number in around.pair))
+    turned = Pair._make(pair[1 - k] + k for k in range(len(Pair._fields)))
+    total, weights = 0.0, (1.0, 2.0, 4.0)
+    for place, number in enumerate((*pair, *turned[1:])):
+        total += weights[place] * number
+    return *turned, *around[:1][0], total, k, len(around[1:])
+
+
 def scaled_by(factor: float, pair: Pair) -> Kernel:
     """Make a kernel that knows two things."""
 
