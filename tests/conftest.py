@@ -28,7 +28,7 @@ with contextlib.redirect_stderr(io.StringIO()):
 
 LONG = tuple(
     f"test_{name}"
-    for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "controllers", "program")
+    for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "package", "program")
 )
 
 
