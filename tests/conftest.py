@@ -27,8 +27,7 @@ with contextlib.redirect_stderr(io.StringIO()):
     library.announce()  # which it does once: an empty cache adds no line to what commands say within this process
 
 LONG = tuple(
-    f"test_{name}"
-    for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "package", "program")
+    f"test_{name}" for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "package", "program")
 )
 
 

@@ -23,7 +23,7 @@ from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import Workplace
-from baselines.tools.command import one_line_errors, this_python
+from baselines.tools.command import one_line_errors, resume_command, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import parse
 from baselines.tools.progress import ProgressRows, progress_rows
@@ -49,10 +49,10 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
             config.check()
             _run(config, make_learner, Console())
         except Interrupted as interruption:
-            print(f"{interruption}; to continue:\n  {_resume_command(script)}")
+            print(f"{interruption}; to continue:\n  {resume_command(script)}")
             sys.exit(130)
         except KeyboardInterrupt:
-            print(f"stopped at once; to continue from the last checkpoint:\n  {_resume_command(script)}")
+            print(f"stopped at once; to continue from the last checkpoint:\n  {resume_command(script)}")
             sys.exit(130)
 
 
@@ -73,11 +73,6 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
         if options := noted_options(path, *but):
             return options
     return {}
-
-
-def _resume_command(script: str) -> str:
-    arguments = [argument for argument in sys.argv[1:] if argument not in ("--resume", "--overwrite")]
-    return f"{this_python()} {shlex.join([script, *arguments, '--resume'])}"
 
 
 def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:

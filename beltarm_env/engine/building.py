@@ -294,16 +294,16 @@ def _is_windows(system: str | None) -> bool:
 
 
 def _machine_flags(program: Compiler, target: str, system: str | None) -> tuple[str, ...]:
-    position = () if _is_windows(system) else ("-fPIC",)  # code of Windows is always so
+    flags = () if _is_windows(system) else ("-fPIC",)  # code of Windows is always so
     if system is not None:
-        position = (*position, "-target", system)
+        flags = (*flags, "-target", system)
     if program.zig:
-        position = (*position, *_INSIDE)
+        flags = (*flags, *_INSIDE)
     if target == "baseline":
-        return (*position, "-mcpu=baseline") if program.zig else position
+        return (*flags, "-mcpu=baseline") if program.zig else flags
     wide = [_WIDE, *(_LAST if program.zig else ())] if target == "x86_64_v4" else []
     march = target if program.zig else target.replace("x86_64_", "x86-64-").replace("_", "-")
-    return *position, f"-march={march}", *wide
+    return *flags, f"-march={march}", *wide
 
 
 def _loads(path: Path) -> bool:

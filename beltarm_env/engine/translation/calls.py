@@ -82,8 +82,10 @@ class Calls(Expressions):
                 (size,), (stride,) = owner.shape, owner.strides
                 return replace(owner, shape=(1, size), strides=(arrays.times(size, stride), stride))
         if node.func.attr == "_make":
-            (entries,) = node.args
-            return self.tuple_of(parts_of(self.held(self.value(entries))), constant(self.value(node.func.value)))
+            owner, (entries,) = self.value(node.func.value), node.args
+            make: Any = owner.value if isinstance(owner, Const) else None
+            if hasattr(make, "_fields"):
+                return self.tuple_of(_ordered(make._fields, {}, parts_of(self.value(entries)), {}), make)
         if node.func.attr == "_replace":
             owner = self.value(node.func.value)
             changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}

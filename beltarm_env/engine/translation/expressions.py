@@ -144,8 +144,7 @@ class Expressions(Scope):
         before = self.names.get(name)
         for part in parts_of(self.held(self.value(generator.iter))):
             self.names[name] = part
-            first, value = self.then(Group(None, tuple(("", one) for one in found)), node.elt)
-            found = [*parts_of(first), value]
+            found = self._also(found, node.elt)
         self.names.pop(name, None)
         if before is not None:
             self.names[name] = before
@@ -155,9 +154,13 @@ class Expressions(Scope):
         """Evaluate expressions one after the other; what is read before a call is not what it changes."""
         found: list[Value] = []
         for node in nodes:
-            first, value = self.then(Group(None, tuple(("", one) for one in found)), node)
-            found = [*parts_of(first), value]
+            found = self._also(found, node)
         return found
+
+    def _also(self, found: list[Value], node: ast.expr) -> list[Value]:
+        """Evaluate an expression after others, as `in_order`."""
+        first, value = self.then(Group(None, tuple(("", one) for one in found)), node)
+        return [*parts_of(first), value]
 
     def then(self, first: Value, node: ast.expr) -> tuple[Value, Value]:
         """Evaluate an expression after another value, as `in_order`."""

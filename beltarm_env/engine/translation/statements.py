@@ -184,13 +184,8 @@ class Statements(Assignments):
             return
         if _leaves(statement.body, ast.Break | ast.Continue):
             raise TranslationError("a loop over a tuple is written out, and takes neither break nor continue")
-        names = [node.id for node in ast.walk(statement.target) if isinstance(node, ast.Name)]
-        own = isinstance(statement.target, ast.Tuple) and not any(self.assigned.get(name, 0) for name in names)
         for part in parts_of(self.held(iterated)):
-            if own:  # what is known, such as the number of the turn, stays so
-                self.names |= zip(names, parts_of(part), strict=True)
-            else:
-                self.assign(statement.target, part)
+            self.assign(statement.target, part)
             if self.block(statement.body):
                 return
 

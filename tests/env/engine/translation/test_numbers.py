@@ -302,6 +302,8 @@ def entries_one_by_one(around: Range, x: float) -> tuple[Any, ...]:
     total, weights = 0.0, (1.0, 2.0, 4.0)
     for place, number in enumerate((*pair, *turned[1:])):
         total += weights[place] * number
+    for place, (low, high) in enumerate((pair, turned)):
+        total = weights[place] * (total - low) + high
     return *turned, *around[:1][0], total, k, len(around[1:])
 
 

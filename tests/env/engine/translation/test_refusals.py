@@ -50,6 +50,7 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("a list comprehension", "(in comprehension, "), (1.0,), "return comprehension(a)"),
     (("a list is not",), (1.0,), "return [a, a][1] #"),
     (("a generator has one name, and no condition",), (1.0,), "return max(*(a * k for k in range(3) if k > 1)) #"),
+    (("argument 'high' is missing",), (1.0,), "return Pair._make(a for k in range(1)) #; "),
     (("a tuple is expected",), (ROW,), "return max(*(2.0 * value for value in a)) #"),
     (("a lambda",), (1.0,), "double = lambda y: 2.0 * y #; return double(a)"),
     (("a formatted string",), (1.0,), "return len(f'{a}') #"),
