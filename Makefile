@@ -49,7 +49,7 @@ $(READY_COMPARE): pyproject.toml $(CONSTRAINTS)
 
 $(READY): $(READY_COMPARE)
 	$(PIP) --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
-	$(BIN)/python -m agents.ahead
+	$(BIN)/python -m agents.compile_kernels
 	@touch $@
 
 test: $(READY)  ## Run the tests; ARGS=--slow runs those that are marked slow, too

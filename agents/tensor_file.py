@@ -44,13 +44,16 @@ def packed(kind: str, description: Mapping[str, Any], tensors: Mapping[str, np.n
 
 
 def read_packed(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Read a file that others may have made. Return its description, with its "sha256", and its tensors.
+    """Read a file that others may have made, see `unpacked`; raises OSError if it cannot be read or is too large."""
+    return unpacked(read_regular(path, MAX_BYTES), kind)
+
+
+def unpacked(data: bytes, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Take the content of a file apart: its description, with its "sha256", and its tensors.
 
     Raises:
-        OSError: If it cannot be read, is no regular file, or has more than `MAX_BYTES`.
         ValueError: If it is of another kind, or not what was saved.
     """
-    data = read_regular(path, MAX_BYTES)
     try:
         tensors = load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -67,7 +70,7 @@ def read_packed(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.nda
 def digest_of(description: Mapping[str, Any], tensors: Mapping[str, np.ndarray]) -> str:
     """SHA-256 of a description, but for the entry "sha256" in it, and of tensors."""
     rest = {name: value for name, value in description.items() if name != "sha256"}
-    found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
     for name in sorted(tensors):
-        found.update(name.encode() + tensors[name].tobytes())
-    return found.hexdigest()
+        digest.update(name.encode() + tensors[name].tobytes())
+    return digest.hexdigest()

@@ -16,8 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.ppo import PpoConfig, make_learner
+from agents.learners.ppo import PpoConfig
 from agents.runs.command_line import main
 
 if __name__ == "__main__":
-    main(PpoConfig, make_learner, __doc__)
+    main(PpoConfig, __doc__)

@@ -1,6 +1,6 @@
 """Train a residual policy by rapid motor adaptation (RMA): `python train/rma.py`.
 
-First a policy is trained that is told about its arm and drive. Then a memory is trained that guesses the same from the
+First a policy is trained that knows its arm and drive. Then a memory is trained that guesses the same from the
 encoder. The method is explained in `agents/learners/rma.py`. A run writes the same files as `train/ppo.py`. It is
 validated and saved after each round; until the memory is trained, all arms are taken to be alike.
 
@@ -14,8 +14,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.rma import RmaConfig, make_learner
+from agents.learners.rma import RmaConfig
 from agents.runs.command_line import main
 
 if __name__ == "__main__":
-    main(RmaConfig, make_learner, __doc__)
+    main(RmaConfig, __doc__)

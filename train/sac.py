@@ -13,8 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.sac import SacConfig, make_learner
+from agents.learners.sac import SacConfig
 from agents.runs.command_line import main
 
 if __name__ == "__main__":
-    main(SacConfig, make_learner, __doc__)
+    main(SacConfig, __doc__)

@@ -16,8 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.student import StudentConfig, make_learner
+from agents.learners.student import StudentConfig
 from agents.runs.command_line import main
 
 if __name__ == "__main__":
-    main(StudentConfig, make_learner, __doc__)
+    main(StudentConfig, __doc__)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, trials_as_csv, tune
+from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, tune
 from baselines.engines.parallel import StopRequest, stop_on_signals
 from baselines.tools.command import resume_command, run_command
 from baselines.tools.files import write_text
@@ -27,13 +27,15 @@ def run(config: TuningConfig) -> None:
             study = tune(config, stop, lambda line: print(line, flush=True))
         if stop.made:
             raise KeyboardInterrupt
-        found = training_command(config, study)
-        write_text(config.table, trials_as_csv(study))
-        print(f"{len(counted(study))} trials, see {config.table}; lowest validation cost {study.best_value:.1f}")
-        print(f"to train with it:\n  {found}")
+        command, table = training_command(config, study), config.file("csv")
+        write_text(
+            table, study.trials_dataframe(("number", "value", "params", "state", "duration")).to_csv(index=False)
+        )
+        print(f"{len(counted(study))} trials, see {table}; lowest validation cost {study.best_value:.1f}")
+        print(f"to train with it:\n  {command}")
     except KeyboardInterrupt:
         again = resume_command("train/tune.py")
-        print(f"interrupted; trials are kept in {config.journal}; to continue:\n  {again}")
+        print(f"interrupted; trials are kept in {config.file('journal')}; to continue:\n  {again}")
         sys.exit(130)
 
 

@@ -1,25 +1,13 @@
-"""Training algorithms by name: the options of their scripts, and the learners that these make."""
+"""Training algorithms by name."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from agents.learners import ppo, recurrent_ppo, rma, sac, student
-from agents.runs.monitor import Maker
+from agents.learners.ppo import PpoConfig, RecurrentPpoConfig
+from agents.learners.rma import RmaConfig
+from agents.learners.sac import SacConfig
+from agents.learners.student import StudentConfig
 from agents.runs.settings import RunConfig
 
-
-class Algorithm(NamedTuple):
-    """An algorithm of `train/`."""
-
-    config: type[RunConfig]
-    make_learner: Maker
-
-
-ALGORITHMS = {
-    "ppo": Algorithm(ppo.PpoConfig, ppo.make_learner),
-    "recurrent_ppo": Algorithm(recurrent_ppo.RecurrentPpoConfig, recurrent_ppo.make_learner),
-    "sac": Algorithm(sac.SacConfig, sac.make_learner),
-    "rma": Algorithm(rma.RmaConfig, rma.make_learner),
-    "student": Algorithm(student.StudentConfig, student.make_learner),
-}
+_CONFIGS: tuple[type[RunConfig], ...] = (PpoConfig, RecurrentPpoConfig, SacConfig, RmaConfig, StudentConfig)
+ALGORITHMS = {config.algorithm: config for config in _CONFIGS}
+"""Options of the algorithms of `train/`, which make their learners."""

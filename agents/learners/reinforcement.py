@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, ClassVar
@@ -18,8 +17,9 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_set
 from agents.policy.actor import Actor, actor_of
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualVecEnv
-from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
+from agents.runs.training import TrainingMonitor
+from baselines.tools.command import require_bounds
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import training_arms
@@ -54,44 +54,45 @@ class ReinforcementConfig(RunConfig):
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "total_steps", "validation_every")
+        require_bounds(self, total_steps=(1, None), validation_every=(1, None), gamma=(0, 1))
         self.positive("gamma", "reward_scale", "torque_price")
-        if self.gamma > 1:
-            raise ValueError(f"--gamma must be at most 1, got {self.gamma}")
         super().check()
 
+    def make_env(self) -> ResidualVecEnv:
+        """Make the environment of training arms."""
+        arms = BeltArmVectorEnv(
+            self.arms, sensors=self.sensors, randomization=self.randomization, autoreset_mode="SameStep"
+        )
+        return ResidualVecEnv(
+            arms,
+            make_base(self.base, self.sensors),
+            self.residual,
+            reward_scale=self.reward_scale / self.hold,
+            torque_price=self.torque_price,
+            worst_reward=self.worst_reward,
+        )
 
-def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
-    """Make the environment of training arms."""
-    arms = BeltArmVectorEnv(
-        config.arms, sensors=config.sensors, randomization=config.randomization, autoreset_mode="SameStep"
-    )
-    return ResidualVecEnv(
-        arms,
-        make_base(config.base, config.sensors),
-        config.residual,
-        reward_scale=config.reward_scale / config.hold,
-        torque_price=config.torque_price,
-        worst_reward=config.worst_reward,
-    )
+    def make_model(self, env: ResidualVecEnv) -> BaseAlgorithm:
+        """Make an untrained model of Stable-Baselines3."""
+        raise NotImplementedError
+
+    def make_learner(self) -> ModelLearner:
+        """Make an untrained learner."""
+        return ModelLearner(self)
 
 
 class ModelLearner:
-    """A Stable-Baselines3 model with its arms, as `agents.runs.monitor.Learner`.
+    """A Stable-Baselines3 model with its arms, as `agents.runs.training.Learner`.
 
     What the library saves of a model, with its replay buffer and arms beside it, is enough to go on bit for bit. Its
     `load` is not: it sets up the model anew at the end, and the states of an LSTM within episodes are lost. So what was
     saved is put into a new model of the same options, as `load` does it before.
-
-    Args:
-        config: Options of the run.
-        make_model: Makes the untrained model from them and the arms.
     """
 
-    def __init__(self, config: ReinforcementConfig, make_model: Callable[[Any, ResidualVecEnv], BaseAlgorithm]) -> None:
+    def __init__(self, config: ReinforcementConfig) -> None:
         self.config = config
-        self.env = make_env(config)
-        self.model: Any = make_model(config, self.env)
+        self.env = config.make_env()
+        self.model: Any = config.make_model(self.env)
         self.env.seed(training_arms(config.seed).first)
 
     @property
@@ -104,7 +105,7 @@ class ModelLearner:
         return actor_of(self.model.policy, self.config.spec().shape())
 
     def learn(self, monitor: TrainingMonitor) -> None:
-        """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`."""
+        """Learn to the end of the run, see `agents.runs.training.Learner.learn`."""
         config, model, pauses = self.config, self.model, _Pauses(monitor, self.config.validation_every)
         model.set_logger(monitor.logger)
         remaining = config.total_steps - model.num_timesteps

@@ -1,21 +1,21 @@
-"""Rapid motor adaptation (RMA): a policy that is told the arm's constants, and a memory that guesses what they say.
+"""Rapid motor adaptation (RMA): a policy that knows the constants of its arm, and a memory that estimates them.
 
 Two networks are trained one after the other [1]. Of constants e of arm and drive, each between -1 and 1 over its
 training range, and of what an agent observes, x:
 
-    1. z = mu(e), u = pi(x, z): a policy that knows the arm, and the few numbers z of it that matter to a torque;
+    1. z = mu(e), u = pi(x, z): a policy that knows the arm, by the few numbers z that matter to a torque;
     2. z = W GRU(x) + b, fitted to mu(e), on moves that pi makes with this guess of z.
 
-The policy is fitted to the same advice as a student is (`agents.learners.student`), where Kumar et al. use PPO. What
-comes out is an actor of a student's shape, pi's first layer over the memory's last, and the difference to a student is
-one: that is fitted to what is best on average over all arms that look the same, this acts as if its guess were true.
+The policy is fitted to a teacher's advice, as a student is (`agents.learners.student`); Kumar et al. use PPO. The
+result is an actor of a student's shape: pi's first layer is multiplied by the memory's last. One difference to a
+student is left: a student learns what is best on average over all arms that look the same; RMA acts as if its guess
+were true.
 
 [1] A. Kumar, Z. Fu, D. Pathak, J. Malik: RMA: Rapid Motor Adaptation for Legged Robots, RSS 2021.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,13 +24,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.learners.student import MAX_GRADIENT, Pause, Student, StudentConfig, as_base, note_round
-from agents.learners.teaching import Advice, Noted
-from agents.policy.actor import Actor, standardised
+from agents.learners.student import MAX_GRADIENT, Student, StudentConfig, as_base
+from agents.learners.teaching import Advice
+from agents.policy.actor import Actor, Standardised
 from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression
 from agents.policy.weights import ActorShape
-from agents.runs.monitor import TrainingMonitor
+from baselines.tools.command import require_bounds
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, NOMINAL, params_table
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -51,27 +51,30 @@ class RmaConfig(StudentConfig):
     out: Path = Path("runs/rma")
     """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     latent: int = 8
-    """Numbers that tell the policy about its arm."""
-    told: float = 0.5
-    """Share of the rounds that train the policy, which is told about its arm. The other rounds train the memory."""
+    """Numbers of the arm that the policy is given."""
+    privileged_share: float = 0.5
+    """Share of the rounds that train the policy, which knows its arm. The other rounds train the memory."""
 
     @property
-    def told_rounds(self) -> int:
-        """Rounds in which the policy is fitted, told the arm."""
-        return max(round(self.told * self.rounds), 1)
+    def privileged_rounds(self) -> int:
+        """Rounds in which the policy that knows the arm is fitted."""
+        return max(round(self.privileged_share * self.rounds), 1)
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "latent", "gru_width")
-        if not 0 < self.told < 1:
-            raise ValueError(f"--told must lie between 0 and 1, got {self.told}")
-        if self.told_rounds >= self.rounds:
-            found = f"with --rounds {self.rounds} and --told {self.told}"
+        require_bounds(self, latent=(1, None), gru_width=(1, None))
+        self.positive("privileged_share")
+        if self.privileged_rounds >= self.rounds:
+            found = f"with --rounds {self.rounds} and --privileged-share {self.privileged_share}"
             raise ValueError(f"--rounds must leave one for the memory, {found} there is none")
         super().check()
 
+    def make_learner(self) -> Rma:
+        """Make an untrained learner."""
+        return Rma(self)
 
-def told_constants(table: Floats) -> Singles:
+
+def scaled_constants(table: Floats) -> Singles:
     """Constants e of arms, shape (n, constants): over the training ranges between -1 and 1, angles as sine and cosine.
 
     Args:
@@ -84,42 +87,31 @@ def told_constants(table: Floats) -> Singles:
     return np.stack(columns, axis=1).astype(np.float32)
 
 
-class InformedActor(nn.Module):
+class PrivilegedActor(Standardised):
     """Network pi(x, mu(e)), whose inputs are x and e side by side."""
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
     def __init__(self, shape: ActorShape, constants: int, latent: int) -> None:
-        super().__init__()
+        super().__init__(shape.inputs + constants)
         self.observed = shape.inputs
-        self.register_buffer("mean", torch.zeros(shape.inputs + constants))
-        self.register_buffer("deviation", torch.ones(shape.inputs + constants))
         self.encoder = nn.Sequential(nn.Linear(constants, _ENCODER), nn.Tanh(), nn.Linear(_ENCODER, latent), nn.Tanh())
         self.policy = as_base(Actor(replace(shape, inputs=shape.inputs + latent, gru=0, standardised=False)))
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Outputs u before they are bounded, shape (T, n, 1), for inputs of shape (T, n, observed + constants)."""
-        own = slice(self.observed)
-        observed = standardised(inputs[..., own], self.mean[own], self.deviation[own])
-        return self.policy(torch.cat([observed, self.latent(inputs[..., self.observed :])], dim=-1))
+        observed, constants = inputs[..., : self.observed], inputs[..., self.observed :]
+        features = self.standardised(observed, slice(self.observed))
+        return self.policy(torch.cat([features, self.latent(constants)], dim=-1))
 
     def latent(self, constants: torch.Tensor) -> torch.Tensor:
         """Numbers z = mu(e), shape (..., latent), of constants of shape (..., constants)."""
-        mean, deviation = self.mean[self.observed :], self.deviation[self.observed :]
-        return self.encoder(standardised(constants, mean, deviation))
+        return self.encoder(self.standardised(constants, slice(self.observed, None)))
 
 
-class Memory(nn.Module):
+class Memory(Standardised):
     """Memory that guesses z = W GRU(x) + b; of an untrained one z is zero."""
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
     def __init__(self, shape: ActorShape, latent: int) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.zeros(shape.inputs))
-        self.register_buffer("deviation", torch.ones(shape.inputs))
+        super().__init__(shape.inputs)
         self.gru = nn.GRU(shape.inputs, shape.gru)
         self.readout = nn.Linear(shape.gru, latent)
         for parameter in self.readout.parameters():
@@ -127,13 +119,13 @@ class Memory(nn.Module):
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Guess z in every hold, shape (T, n, latent), for n whole episodes of shape (T, n, inputs)."""
-        return self.readout(self.gru(standardised(inputs, self.mean, self.deviation))[0])
+        return self.readout(self.gru(self.standardised(inputs))[0])
 
 
-class Told:
-    """Policy of one batch of arms that is told their constants, shape (n, constants)."""
+class PrivilegedPolicy:
+    """Policy for one batch of arms that knows their constants, shape (n, constants)."""
 
-    def __init__(self, network: InformedActor, constants: Singles) -> None:
+    def __init__(self, network: PrivilegedActor, constants: Singles) -> None:
         self._network = network
         self._constants = constants
 
@@ -145,7 +137,7 @@ class Told:
         return self._network(inputs).clamp(-1.0, 1.0).numpy(), None
 
 
-def merged(network: InformedActor, memory: Memory, shape: ActorShape) -> Actor:
+def merged(network: PrivilegedActor, memory: Memory, shape: ActorShape) -> Actor:
     """Actor of a student's shape that does what the policy does with the memory's guess.
 
     With z = W h + b, the policy's first layer V_x x + V_z z + c is V_x x + V_z W h + (c + V_z b).
@@ -155,21 +147,21 @@ def merged(network: InformedActor, memory: Memory, shape: ActorShape) -> Actor:
     assert actor.gru is not None
     actor.gru.load_state_dict(memory.gru.state_dict())
     layers = network.policy.layers.state_dict()
-    told = layers["0.weight"][:, shape.inputs :]
-    layers["0.bias"] = layers["0.bias"] + told @ memory.readout.bias
-    layers["0.weight"] = torch.cat([layers["0.weight"][:, : shape.inputs], told @ memory.readout.weight], dim=1)
+    of_latent = layers["0.weight"][:, shape.inputs :]
+    layers["0.bias"] = layers["0.bias"] + of_latent @ memory.readout.bias
+    layers["0.weight"] = torch.cat([layers["0.weight"][:, : shape.inputs], of_latent @ memory.readout.weight], dim=1)
     actor.layers.load_state_dict(layers)
     return actor.requires_grad_(False)
 
 
 class Rma(Student):
-    """Residual policy by rapid motor adaptation, as `agents.runs.monitor.Learner`."""
+    """Residual policy by rapid motor adaptation, as `agents.runs.training.Learner`."""
 
     def __init__(self, config: RmaConfig) -> None:
         super().__init__(config)
-        self._told, self._shape = config, config.spec().shape()
-        informed = InformedActor(self._shape, len(told_constants(params_table([NOMINAL]))[0]), config.latent)
-        self._regression = Regression(informed, MAX_GRADIENT)
+        self._config, self._shape = config, config.spec().shape()
+        privileged = PrivilegedActor(self._shape, len(scaled_constants(params_table([NOMINAL]))[0]), config.latent)
+        self._regression = Regression(privileged, MAX_GRADIENT)
         self._memory = Regression(Memory(self._shape, config.latent), MAX_GRADIENT)
         self._moves: list[tuple[torch.Tensor, torch.Tensor]] = []  # inputs and z of the last rounds
 
@@ -177,12 +169,18 @@ class Rma(Student):
         """Copy of the current policy, with the memory."""
         return merged(self._regression.averaged(), self._memory.averaged(), self._shape)
 
-    def learn_round(self, monitor: TrainingMonitor) -> None:
-        """Fit the policy that is told the arm, or the memory."""
-        if self.rounds < self._told.told_rounds:
-            super().learn_round(monitor)
-        else:
-            self._remember(monitor)
+    def learn_round(self) -> tuple[Recording, float]:
+        """Fit the privileged policy, or the memory. Return the moves, and the error of the fit."""
+        return super().learn_round() if self.rounds < self._config.privileged_rounds else self._fit_memory()
+
+    def ask(self) -> tuple[Advice, Recording]:
+        """Ask about the moves of the privileged policy; e is among the inputs."""
+        arms = BeltArmVectorEnv(self.config.arms, randomization=self.config.randomization)
+        arms.reset(seed=self.seed)
+        constants = scaled_constants(arms.params_table)
+        advice, recording = self.ask_about(PrivilegedPolicy(self._regression.averaged(), constants))
+        own = torch.from_numpy(constants[recording.finished]).half().expand(len(advice.inputs), -1, -1)
+        return advice._replace(inputs=torch.cat([advice.inputs, own], dim=2)), recording
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
@@ -195,46 +193,26 @@ class Rma(Student):
         self._moves = state["moves"]
 
     def _share_done(self, share: float) -> float:
-        return (self.rounds + share) / self._told.told_rounds
+        return (self.rounds + share) / self._config.privileged_rounds
 
-    def _asked(self, pause: Pause) -> tuple[Advice, Recording]:
-        """Ask about the moves of the policy that is told the arm; e is among the inputs."""
-        arms = BeltArmVectorEnv(self.config.arms, randomization=self.config.randomization)
-        arms.reset(seed=self.seed)
-        constants = told_constants(arms.params_table)
-        advice, own = self._ask(Told(self._regression.averaged(), constants), pause)
-        told = torch.from_numpy(constants[own.finished]).half().expand(len(advice.inputs), -1, -1)
-        return advice._replace(inputs=torch.cat([advice.inputs, told], dim=2)), own
-
-    def _remember(self, monitor: TrainingMonitor) -> None:
-        """Fit the memory to the z of arms, on moves that are made with its guess."""
-        pause, noted = Pause(monitor), Noted(self._acting(NetworkPolicy(self.actor().weights())))
+    def _fit_memory(self) -> tuple[Recording, float]:
+        """Fit the memory to the last rounds' z of arms, on moves that are made with its guess."""
         self.advice = []
-        own = self._trial(pause)(noted)
-        informed = self._regression.averaged()
-        z = informed.latent(torch.from_numpy(told_constants(own.params)))
-        self._moves = [*self._moves, (torch.from_numpy(np.stack(noted.inputs)).half(), z)][-self.config.remembered :]
-        error = self._fit_memory(informed, pause)
-        note_round(monitor, own, error)
-
-    def _fit_memory(self, informed: InformedActor, pause: Callable[[int], None]) -> float:
-        """Fit the memory to the last rounds' z, and return the squared error of the last pass."""
-        config, network = self._told, self._memory.network
+        recording, recorder = self.move(NetworkPolicy(self.actor().weights()))
+        privileged, config, network = self._regression.averaged(), self._config, self._memory.network
+        z = privileged.latent(torch.from_numpy(scaled_constants(recording.params)))
+        inputs = torch.from_numpy(np.stack(recorder.inputs)).half()
+        self._moves = [*self._moves, (inputs, z)][-config.remembered :]
         inputs, z = (torch.cat(parts, dim=-2) for parts in zip(*self._moves, strict=True))
-        network.mean, network.deviation = informed.mean[: informed.observed], informed.deviation[: informed.observed]
-        network.to(config.device)
-        errors: list[float] = []
-        for share, chosen in self._batches(len(z)):
-            pause(0)
+        observed = slice(privileged.observed)
+        network.mean, network.deviation = privileged.mean[observed], privileged.deviation[observed]
+
+        def loss_of(chosen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             guess = network(inputs[:, chosen].to(config.device).float())
             loss = (guess - z[chosen].to(config.device)).square().mean()
-            left = 1 - (self.rounds - config.told_rounds + share) / (config.rounds - config.told_rounds)
-            self._memory.step(loss, config.learning_rate_left(left))
-            errors.append(loss.item())
-        network.to("cpu")
-        return self._last_pass(errors)
+            return loss, loss.detach()
 
+        def share_done(share: float) -> float:
+            return (self.rounds - config.privileged_rounds + share) / (config.rounds - config.privileged_rounds)
 
-def make_learner(config: RmaConfig) -> Rma:
-    """Make an untrained learner."""
-    return Rma(config)
+        return recording, self._descend(self._memory, len(z), loss_of, share_done)

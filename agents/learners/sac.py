@@ -19,9 +19,10 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.type_aliases import RolloutReturn
 
-from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
+from agents.learners.reinforcement import ReinforcementConfig
 from agents.policy.actor import MODULES
 from agents.residual.env import ResidualVecEnv
+from baselines.tools.command import require_bounds
 from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -81,14 +82,9 @@ class SacConfig(ReinforcementConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
-        self.at_least(1, "batch_size", "gradient_steps")
-        self.at_least(0, "learning_starts", "noise")
+        require_bounds(self, batch_size=(1, None), gradient_steps=(1, None), learning_starts=(0, None))
+        require_bounds(self, noise=(0, None), tau=(0, 1), buffer_size=(max(self.arms, self.batch_size), None))
         self.positive("tau", "exploration", "initial_entropy_weight")
-        if self.tau > 1:
-            raise ValueError(f"--tau must be at most 1, got {self.tau}")
-        if self.buffer_size < max(self.arms, self.batch_size):
-            least = max(self.arms, self.batch_size)
-            raise ValueError(f"--buffer-size must be at least {least}, for --arms and a batch, got {self.buffer_size}")
 
     def arguments(self) -> dict[str, Any]:
         """Arguments of the Stable-Baselines3 model."""
@@ -113,6 +109,17 @@ class SacConfig(ReinforcementConfig):
             "device": self.device,
         }
 
+    def make_model(self, env: ResidualVecEnv) -> ResidualSAC:
+        """Make an untrained model whose mean residual is near zero."""
+        model = ResidualSAC("MlpPolicy", env, **self.arguments())
+        actor: Any = model.actor
+        with torch.no_grad():
+            actor.mu.weight.mul_(_NEAR_ZERO)
+            actor.mu.bias.zero_()
+            actor.log_std.weight.mul_(_NEAR_ZERO)
+            actor.log_std.bias.fill_(log(self.exploration))
+        return model
+
 
 class ClippedAdam(torch.optim.Adam):
     """Adam on gradients whose norm over all weights is at most `_MAX_GRADIENT`."""
@@ -130,20 +137,3 @@ class ResidualSAC(SAC):
     def collect_rollouts(self, *arguments: Any, **options: Any) -> RolloutReturn:
         """Collect experiences as the library does where learning has started, whose actions are not uniform."""
         return super().collect_rollouts(*arguments, **{**options, "learning_starts": 0})
-
-
-def make_model(config: SacConfig, env: ResidualVecEnv) -> ResidualSAC:
-    """Make an untrained model whose mean residual is near zero."""
-    model = ResidualSAC("MlpPolicy", env, **config.arguments())
-    actor: Any = model.actor
-    with torch.no_grad():
-        actor.mu.weight.mul_(_NEAR_ZERO)
-        actor.mu.bias.zero_()
-        actor.log_std.weight.mul_(_NEAR_ZERO)
-        actor.log_std.bias.fill_(log(config.exploration))
-    return model
-
-
-def make_learner(config: SacConfig) -> ModelLearner:
-    """Make an untrained learner."""
-    return ModelLearner(config, make_model)

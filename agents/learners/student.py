@@ -1,10 +1,11 @@
-"""A student of trajectory optimisation: it is told after each episode how its torques should have been.
+"""Imitation of trajectory optimisation: after each episode, a teacher labels the torques of a student.
 
 The teacher knows arm and drive, and optimises torques in the student's own states (`agents.learners.teaching`). The
-student, a residual on a base, meets every arm for the first time, sees the encoder and what an extended Kalman filter
-believes (`agents.residual.knowledge`), and has a memory of its own, a GRU through the episode. In every round
+student is a residual on a base. It meets every arm for the first time, observes the encoder and the belief of an
+extended Kalman filter (`agents.residual.knowledge`), and has a memory of its own, a GRU through the episode. In every
+round
 
-    1. arms that no round has seen, and a move for each, are drawn, and the student makes the moves as it is by now;
+    1. new arms, and a move for each, are drawn, and the student makes the moves;
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
     3. the student u is fitted to the last rounds' advice, through whole episodes: min sum w H(u - y), Huber's H.
 
@@ -12,10 +13,10 @@ This is DAgger [1] with a teacher who is asked about the student's states alone.
 `agents.learners.teaching` shows: it ends where no small change of the student's torques lowers its expected cost. Why
 it works where reinforcement learning does not:
 
-- Nothing is explored. Residuals that are worth anything on a good base are small, and the noise with which PPO looks
-  for them costs more than they gain. Here the simulation itself says what each torque did.
-- What the teacher knows of an arm, the student cannot know. On average over the arms that fit what it has seen, advice
-  that rests on it cancels, and what is left is what one should do not knowing: also to hold back.
+- There is no exploration noise. Useful residuals on a good base are small, and the noise with which PPO looks for them
+  costs more than they gain. Here the simulation itself says what each torque did.
+- The student does not know the arm, the teacher does. Advice that rests on this knowledge cancels on average over all
+  arms that fit the student's observations. The rest is the best action without the knowledge, caution included.
 - A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
@@ -27,7 +28,7 @@ Online Learning, AISTATS 2011.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -36,17 +37,17 @@ import numpy as np
 import torch
 from torch.nn.functional import huber_loss
 
-from agents.learners.teaching import Advice, Trial, ask
+from agents.learners.teaching import Advice, Recorder, advise
 from agents.policy.actor import Actor
 from agents.policy.network import NetworkPolicy
-from agents.policy.regression import Regression, scales_of
+from agents.policy.regression import Regression
 from agents.residual.bases import make_base
 from agents.residual.controller import Policy, ResidualController
-from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
+from agents.runs.training import TrainingMonitor
+from baselines.tools.command import require_bounds
 from beltarm_env import EPISODE_STEPS
-from beltarm_env.arrays import Flags, Singles
-from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 MAX_GRADIENT = 0.2
@@ -106,23 +107,28 @@ class StudentConfig(RunConfig):
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "rounds", "remembered", "epochs", "batch_size")
-        self.at_least(0, "gru_width")
+        require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
+        require_bounds(self, gru_width=(0, None))
         self.positive("huber", "torque_price")
         if self.rounds * self.arms > SEED_SPACING:
             found = f"got {self.rounds} times {self.arms}"
             raise ValueError(f"--rounds times --arms must be at most {SEED_SPACING}, {found}: every round has new arms")
         super().check()
 
+    def make_learner(self) -> Student:
+        """Make an untrained student."""
+        return Student(self)
+
 
 class Student:
-    """Residual policy that learns from a teacher's advice, as `agents.runs.monitor.Learner`."""
+    """Residual policy that learns from a teacher's advice, as `agents.runs.training.Learner`."""
 
     def __init__(self, config: StudentConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.rounds = 0
         self.advice: list[Advice] = []
+        self.pause: Callable[[int], object] = lambda _: None  # called within a round, with agent steps just made
         self._regression = Regression(as_base(Actor(config.spec().shape())), MAX_GRADIENT)
 
     @property
@@ -140,24 +146,43 @@ class Student:
         return self._regression.averaged()
 
     def learn(self, monitor: TrainingMonitor) -> None:
-        """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`.
+        """Learn to the end of the run, see `agents.runs.training.Learner.learn`.
 
         Checkpoints are taken at the end of a round; an interrupted round is repeated.
         """
         monitor.begin()
         while self.rounds < self.config.rounds:
-            self.learn_round(monitor)
+            self.pause = Pause(monitor)
+            recording, error = self.learn_round()
+            monitor.logger.record("student/cost", float(recording.cost.mean()))
+            monitor.logger.record("student/left", 1 - float(recording.finished.mean()))
+            monitor.logger.record("student/difference", error)
             self.rounds += 1
             monitor.evaluate()
             monitor.log()
 
-    def learn_round(self, monitor: TrainingMonitor) -> None:
-        """Act, ask and fit."""
-        config, pause = self.config, Pause(monitor)
-        advice, own = self._asked(pause)
-        self.advice = [*self.advice, advice][-config.remembered :]
-        difference = self._fit(pause)
-        note_round(monitor, own, difference)
+    def learn_round(self) -> tuple[Recording, float]:
+        """Act, ask and fit. Return the moves, and the error of the fit."""
+        advice, recording = self.ask()
+        self.advice = [*self.advice, advice][-self.config.remembered :]
+        return recording, self.fit()
+
+    def ask(self) -> tuple[Advice, Recording]:
+        """Ask the teacher about this round's moves."""
+        return self.ask_about(NetworkPolicy(self.actor().weights()))
+
+    def ask_about(self, policy: Policy) -> tuple[Advice, Recording]:
+        """Ask the teacher about this round's moves, made by a policy."""
+        recording, recorder = self.move(policy)
+        advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
+        return advice, recording
+
+    def move(self, policy: Policy) -> tuple[Recording, Recorder]:
+        """Make this round's moves by a policy, on arms that no round has seen."""
+        config, recorder = self.config, Recorder(policy, self.pause)
+        controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
+        settings: dict[str, Any] = {"randomization": config.randomization, "sensors": config.sensors}
+        return rollout(controller, config.arms, seed=self.seed, **settings), recorder
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
@@ -171,77 +196,59 @@ class Student:
     def close(self) -> None:
         """Do nothing: no arms are held."""
 
-    def _asked(self, pause: Pause) -> tuple[Advice, Recording]:
-        """Advice about this round's moves, and the moves."""
-        return self._ask(NetworkPolicy(self.actor().weights()), pause)
-
-    def _ask(self, policy: Policy, pause: Pause) -> tuple[Advice, Recording]:
-        """Ask the teacher about this round's moves, made by a policy."""
-        return ask(self._trial(pause), self._acting(policy), self.config.torque_price, lambda: pause(0))
-
-    def _acting(self, policy: Policy) -> ResidualController:
-        """Controller that acts by a policy."""
-        return ResidualController(make_base(self.config.base, self.config.sensors), policy, self.config.residual)
-
-    def _trial(self, pause: Pause) -> Trial:
-        """Moves of this round, on arms that no round has seen."""
-        config = self.config
-
-        def trial(controller: Controller) -> Recording:
-            settings: dict[str, Any] = {"randomization": config.randomization, "sensors": config.sensors}
-            return rollout(Paused(controller, pause), config.arms, seed=self.seed, **settings)
-
-        return trial
-
     def _share_done(self, share: float) -> float:
         """Share of the fitting that is done, of the share of this round that is."""
         return (self.rounds + share) / self.config.rounds
 
-    def _fit(self, pause: Callable[[int], None]) -> float:
-        """Fit the student to the remembered advice, and return the weighted squared error of the last pass."""
-        config, limit, network = self.config, self.config.residual_limit, self._regression.network
+    def fit(self) -> float:
+        """Fit the student to the advice of the last rounds, and return the weighted squared error of the last pass."""
+        config, network = self.config, self._regression.network
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
         if self.rounds == 0:  # the average takes over what is no weight with its next step
-            network.mean, network.deviation = scales_of(inputs.float())
-        network.to(config.device)
-        errors: list[float] = []
-        for share, chosen in self._batches(labels.shape[1]):
-            pause(0)
+            network.set_scales(inputs.float())
+
+        def loss_of(chosen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
-            error = (answers - labels[:, chosen].to(config.device)) * limit
+            error = (answers - labels[:, chosen].to(config.device)) * config.residual_limit
             weight = weights[:, chosen].to(config.device)
             losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
-            rate = config.learning_rate_left(1 - self._share_done(share))
-            self._regression.step((weight * losses).mean().mul(_SCALE), rate)
-            errors.append(float((weight * error.detach().square()).mean()))
-        network.to("cpu")
-        return self._last_pass(errors)
+            return (weight * losses).mean().mul(_SCALE), (weight * error.detach().square()).mean()
 
-    def _batches(self, episodes: int) -> Iterator[tuple[float, torch.Tensor]]:
-        """Yield the share of this round's fit that is done, and the next batch of its episodes, at random."""
-        config = self.config
+        return self._descend(self._regression, labels.shape[1], loss_of, self._share_done)
+
+    def _descend(
+        self,
+        regression: Regression,
+        episodes: int,
+        loss_of: Callable[[torch.Tensor], tuple[torch.Tensor, torch.Tensor]],
+        share_done: Callable[[float], float],
+    ) -> float:
+        """Make gradient steps on batches of a round's episodes, and return the mean error of the last pass.
+
+        Args:
+            regression: What is fitted.
+            episodes: Their number.
+            loss_of: Loss and error of some of them.
+            share_done: Share of all fitting that is done, of the share of this round's that is.
+
+        Raises:
+            ValueError: If the error is not finite.
+        """
+        config, errors = self.config, list[float]()
+        regression.network.to(config.device)
         batches = -(-episodes // config.batch_size)
         for epoch in range(config.epochs):
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
-                yield (epoch + batch / batches) / config.epochs, chosen
-
-    def _last_pass(self, errors: Sequence[float]) -> float:
-        """Mean error over the batches of the last pass.
-
-        Raises:
-            ValueError: If it is not finite.
-        """
-        error = float(np.mean(errors[-(len(errors) // self.config.epochs) :])) if errors else 0.0
-        if not np.isfinite(error):
+                self.pause(0)
+                loss, error = loss_of(chosen)
+                share = (epoch + batch / batches) / config.epochs
+                regression.step(loss, config.learning_rate_left(1 - share_done(share)))
+                errors.append(float(error))
+        regression.network.to("cpu")
+        mean = float(np.mean(errors[-batches:])) if errors else 0.0
+        if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
-        return error
-
-
-def note_round(monitor: TrainingMonitor, own: Recording, difference: float) -> None:
-    """Log a round: its moves' mean cost, the share of arms that left, and the error of the fit."""
-    monitor.logger.record("student/cost", float(own.cost.mean()))
-    monitor.logger.record("student/left", 1 - float(own.finished.mean()))
-    monitor.logger.record("student/difference", difference)
+        return mean
 
 
 def as_base(actor: Actor) -> Actor:
@@ -252,39 +259,19 @@ def as_base(actor: Actor) -> Actor:
     return actor
 
 
-def make_learner(config: StudentConfig) -> Student:
-    """Make an untrained learner."""
-    return Student(config)
-
-
 class Pause:
     """Reports progress within a round, and interrupts it on request."""
 
     def __init__(self, monitor: TrainingMonitor) -> None:
         self._monitor = monitor
-        self._samples = 0
+        self._steps = 0
 
-    def __call__(self, samples: int) -> None:
-        """Count samples.
+    def __call__(self, steps: int) -> None:
+        """Count agent steps.
 
         Raises:
             Interrupted: If the run is to stop.
         """
-        self._samples += samples
+        self._steps += steps
         self._monitor.stop_if_asked(save=False)
-        self._monitor.tell(self._monitor.learner.steps + self._samples // self._monitor.config.hold)
-
-
-class Paused:
-    """Controller with a pause before each sample."""
-
-    def __init__(self, controller: Controller, pause: Callable[[int], None]) -> None:
-        self._controller = controller
-        self._pause = pause
-
-    def predict(
-        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
-    ) -> tuple[Singles, Any]:
-        """Pause, then call the controller's `predict`."""
-        self._pause(len(observation))
-        return self._controller.predict(observation, state, episode_start, deterministic)
+        self._monitor.tell(self._monitor.learner.steps + self._steps)

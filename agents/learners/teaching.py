@@ -1,15 +1,14 @@
-"""Advice to a student: how the torques of an episode should have been, by one who knows arm and drive.
+"""Advice to a student: the best torques of an episode, computed with the true constants of arm and drive.
 
 After the episode the teacher simulates it once more, by the environment's own equations with the true constants, and
 linearises it about the motion that the student made (`baselines.planning.norm_optimal`). From the end backwards, the
-linear-quadratic problem tells of every sample which change c[k] of the torque would have been best *there*, in the
+linear-quadratic problem gives for every sample the change c[k] of the torque that would have been best *there*, in the
 student's own state:
 
     Q_k(v) - Q_k(c[k]) = h[k] (v - c[k])^2,    c[k] = -q[k] / h[k]
 
-with q the slope and h the curvature of the cost to go, both halved. Every later torque is thought to react to what the
-change does to the arm, by the problem's own feedback, and to be as good as can be beside that. Over the samples k for
-which a residual u is held, the best one is
+with q the slope and h the curvature of the cost to go, both halved. Every later torque is assumed to be optimal, and to
+react to the change by the problem's own feedback. Over the samples k for which a residual u is held, the best one is
 
     y = u + sum h[k] c[k] / sum h[k],    with weight w = sum h[k]
 
@@ -20,9 +19,9 @@ problem's feedback does; what the best later torques are does not enter q at all
 student's torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is
 a Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
-Where the motor sticks, torque changes nothing, and the slope is zero. So that a motor at rest is not pushed to and fro
-for nothing, by the base least of all, a price is added to the cost to go: p_0 tau^2 per sample of the whole torque over
-its limit while the motor rests, and p u^2 of the residual alone while it moves.
+Where the motor sticks, torque changes nothing, and the slope is zero. A price keeps a motor at rest from being pushed
+to and fro: per sample, p_0 tau^2 of the whole torque over its limit while the motor rests, and p u^2 of the residual
+alone while it moves.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -36,17 +35,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from agents.residual.controller import ResidualController, ResidualMemory
+from agents.residual.controller import Policy, ResidualSettings
 from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.rollout import Controller, Recording
+from beltarm_env.rollout import Recording
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
-
-Trial = Callable[[Controller], Recording]
-"""Runs a controller for an episode on arms of its own."""
 
 _PRICE, _PRICE_AT_REST = 1.0, 3.0  # p and p_0, over the torque limit squared; h is about 5
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
@@ -61,83 +57,82 @@ class Advice(NamedTuple):
     weights: torch.Tensor  # of mean 1, shape (holds, arms)
 
 
-class Noted:
-    """Student whose inputs and residuals are noted for one trial; as a `Controller`, the student."""
-
-    def __init__(self, student: ResidualController) -> None:
-        self.student = student
-        self.inputs: list[Singles] = []
-        self.residuals: list[Singles] = []
-        self._step = 0
-
-    def predict(
-        self,
-        observation: Singles,
-        state: ResidualMemory | None = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Singles, ResidualMemory]:
-        """Call the student's `predict`, and note what it saw and chose where its residual was due."""
-        action, memory = self.student.predict(observation, state, episode_start, deterministic)
-        if self._step % self.student.settings.hold == 0:
-            assert memory.informed is not None
-            self.inputs.append(self.student.informed.seen(observation, memory.informed))
-            self.residuals.append(memory.residual)
-        self._step += 1
-        return action, memory
-
-
-def ask(
-    trial: Trial, student: ResidualController, price: float = 1.0, pause: Callable[[], Any] = lambda: None
-) -> tuple[Advice, Recording]:
-    """Run a student, and ask for every hold of every arm what it should have done.
+class Recorder:
+    """Policy whose inputs and residuals are kept, one of each per hold of an episode.
 
     Args:
-        trial: What the student is run on.
-        student: Begins anew.
-        price: See `best_changes`.
-        pause: Called before each arm.
-
-    Returns:
-        The advice, of arms that have not left their workspace, and the student's trial.
+        policy: What acts.
+        pause: Called before each hold, with the number of arms.
     """
-    noted = Noted(student)
-    recording = trial(noted)
-    hold, limit = student.settings.hold, student.settings.limit
+
+    def __init__(self, policy: Policy, pause: Callable[[int], object] = lambda _: None) -> None:
+        self._policy = policy
+        self._pause = pause
+        self.inputs: list[Singles] = []
+        self.residuals: list[Singles] = []
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Call the policy's `predict`, and keep what it sees and chooses."""
+        self._pause(len(observation))
+        residual, memory = self._policy.predict(observation, state, episode_start, deterministic)
+        self.inputs.append(observation)
+        self.residuals.append(residual)
+        return residual, memory
+
+
+def advise(
+    recording: Recording,
+    recorder: Recorder,
+    settings: ResidualSettings,
+    price: float = 1.0,
+    pause: Callable[[int], object] = lambda _: None,
+) -> Advice:
+    """Say for every hold of every arm what a student should have done; only of arms that stayed in their workspace.
+
+    Args:
+        recording: Episodes under the student.
+        recorder: The student's inputs and residuals in them.
+        settings: Of the student's residual.
+        price: See `best_changes`.
+        pause: Called before each arm, with zero.
+    """
+    hold, limit = settings.hold, settings.limit
     changes, curvatures = best_changes(recording, price, pause)
-    kept = np.flatnonzero(recording.finished)
-    chosen = np.stack(noted.residuals)[:, :, 0].astype(np.float64)
-    charged, prices = _charged(recording, chosen * limit, hold)
-    pulled = _held(changes * curvatures - prices * charged, hold)[:, kept]
-    weights = _held(curvatures + prices, hold)[:, kept]
-    labels = np.clip(chosen[:, kept] + pulled / weights / limit, -1.0, 1.0)
-    inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
-    ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
-    return Advice(inputs, ours[0], ours[1] / ours[1].mean()), recording
+    stayed = np.flatnonzero(recording.finished)
+    residuals = np.stack(recorder.residuals)[:, :, 0].astype(np.float64)
+    penalised, prices = _penalised(recording, residuals * limit, hold)
+    slopes = _sum_over_holds(changes * curvatures - prices * penalised, hold)[:, stayed]
+    weights = _sum_over_holds(curvatures + prices, hold)[:, stayed]
+    best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
+    inputs = torch.from_numpy(np.stack(recorder.inputs)[:, stayed]).half()
+    labels, weights = torch.from_numpy(best.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
+    return Advice(inputs, labels, weights / weights.mean())
 
 
-def _charged(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
-    """What is charged for, and its price, shape (1200, n): the torque of motors at rest, the residual of others."""
+def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
+    """Torque of motors at rest, residual of others, and the price of either, shape (1200, n)."""
     still = np.concatenate([np.ones((1, len(recording.cost)), np.bool_), recording.state[:, :, 1] == 0])
     rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
     own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
     return np.where(rests, torque, own), np.where(rests, _PRICE_AT_REST, _PRICE)
 
 
-def _held(samples: Floats, hold: int) -> Floats:
+def _sum_over_holds(samples: Floats, hold: int) -> Floats:
     """Sums over the samples of each hold, the last of which may be shorter."""
     return np.add.reduceat(samples, np.arange(0, len(samples), hold), axis=0)
 
 
 def best_changes(
-    recording: Recording, price: float = 1.0, pause: Callable[[], Any] = lambda: None
+    recording: Recording, price: float = 1.0, pause: Callable[[int], object] = lambda _: None
 ) -> tuple[Floats, Floats]:
     """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
 
     Args:
         recording: Episodes of n arms, on the trapezoid reference.
         price: What a change of the torque from sample to sample costs the teacher, over what the task charges.
-        pause: Called before each arm.
+        pause: Called before each arm, with zero.
 
     Returns:
         c over the torque limit and h times its square, of shape (1200, n); 0 and 1 of arms that have left.
@@ -146,7 +141,7 @@ def best_changes(
     linearisation = Linearisation(design_model(), EPISODE_STEPS)
     changes, curvatures = np.zeros((EPISODE_STEPS, count)), np.ones((EPISODE_STEPS, count))
     for i in np.flatnonzero(recording.finished):
-        pause()
+        pause(0)
         row, torque = recording.params[i], np.ascontiguousarray(recording.torque[:, i])
         limit, task = float(row[COLUMN.torque_limit]), np.ascontiguousarray(tasks[i, 1:, :2])
         about = linearisation.about(np.ascontiguousarray(states[:, i]), torque, task, row)

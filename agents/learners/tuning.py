@@ -31,8 +31,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ReinforcementConfig
 from agents.learners.spaces import SPACES, Searched
-from agents.runs.monitor import News
-from agents.runs.training import train
+from agents.runs.training import News, train
 from baselines.engines.options import SideBySide
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
 from baselines.tools.command import require_bounds, this_python
@@ -74,20 +73,9 @@ class TuningConfig(SideBySide):
     resume: bool = False
     """Continue the study in --out."""
 
-    @property
-    def journal(self) -> Path:
-        """Journal of the study."""
-        return self.out / f"{self.algorithm}.journal"
-
-    @property
-    def noted(self) -> Path:
-        """Options of the command that began the study, or resumed it last."""
-        return self.out / f"{self.algorithm}.json"
-
-    @property
-    def table(self) -> Path:
-        """Table of the trials, to read."""
-        return self.out / f"{self.algorithm}.csv"
+    def file(self, kind: str) -> Path:
+        """File of the study: its "journal", the "json" of its options, or the "csv" table of its trials."""
+        return self.out / f"{self.algorithm}.{kind}"
 
     def check(self) -> None:
         """Check the options.
@@ -99,19 +87,18 @@ class TuningConfig(SideBySide):
         self.check_engine()
         require_bounds(self, trials=(1, 400), samples=(1000, None), seed=(0, None))
         self.run({}, 0).check()
-        if self.resume and not self.journal.exists():
-            raise FileNotFoundError(f"nothing to resume: {self.journal} is missing; run once without --resume")
-        if self.journal.exists() and not self.resume:
-            raise ValueError(
-                f"{self.journal} already holds a study: continue it with --resume, or choose another --out"
-            )
+        journal = self.file("journal")
+        if self.resume and not journal.exists():
+            raise FileNotFoundError(f"nothing to resume: {journal} is missing; run once without --resume")
+        if journal.exists() and not self.resume:
+            raise ValueError(f"{journal} already holds a study: continue it with --resume, or choose another --out")
 
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """Options of the training run of a trial."""
         options = {**settings}
         if "hidden" in settings:
             options["hidden"] = tuple(int(width) for width in settings["hidden"].split())
-        kind: Any = ALGORITHMS[self.algorithm].config
+        kind: Any = ALGORITHMS[self.algorithm]
         steps = self.samples // options.get("hold", kind.hold)
         return kind(
             out=self.out / f"{self.algorithm}-trial{number}",
@@ -140,7 +127,7 @@ def begun_options(config: TuningConfig) -> dict[str, Any]:
     Raises:
         ValueError: If the file that notes them is damaged.
     """
-    return noted_options(config.noted, "algorithm", "out", "resume") if config.resume else {}
+    return noted_options(config.file("json"), "algorithm", "out", "resume") if config.resume else {}
 
 
 def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
@@ -152,7 +139,7 @@ def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
     begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3)
     remedy = "give the same options, or choose another --out"
-    return studies.open_study(config.journal, begun, pruner, remedy=remedy, storage=storage)
+    return studies.open_study(config.file("journal"), begun, pruner, remedy=remedy, storage=storage)
 
 
 def tune(
@@ -172,12 +159,12 @@ def tune(
     """
     config.check()
     require_writable(config.out)
-    with studies.own(config.journal):
+    with studies.own(config.file("journal")):
         done = len(counted(begin(config)))
-        note_options(config.noted, config)
+        note_options(config.file("json"), config)
         jobs = config.jobs or default_jobs()
-        left = max(config.trials - done, 0)
-        tell(f"{left} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time")
+        remaining = max(config.trials - done, 0)
+        tell(f"{remaining} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time")
         work = run_trials if config.engine == "local" else partial(_run_trials_away, server=_serve(config))
         workers = {f"worker {number}": partial(work, config, number) for number in range(jobs)}
         ends = run_side_by_side(workers, jobs, engine=config.runs_on, stop=stop, tell=lambda _, line: tell(line))
@@ -188,19 +175,14 @@ def tune(
         return open_study(config)
 
 
-def begin(config: TuningConfig) -> optuna.Study:
-    """Open the study, which begins with the algorithm's defaults; what was interrupted is to be repeated."""
-    study = open_study(config)
-    _repeat_interrupted(config, study)
+def begin(config: TuningConfig, storage: Any = None, worker: int | None = None) -> optuna.Study:
+    """Open the study, which begins with the algorithm's defaults; interrupted trials, or a worker's, are repeated."""
+    study = open_study(config, storage)
+    for place in studies.repeat_interrupted(study, worker):
+        shutil.rmtree(config.run({}, place).out, ignore_errors=True)
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(config.defaults())
     return study
-
-
-def _repeat_interrupted(config: TuningConfig, study: optuna.Study, worker: int | None = None) -> None:
-    """Have the running trials of a worker that died repeated, or those of all, and remove their folders."""
-    for place in studies.repeat_interrupted(study, worker):
-        shutil.rmtree(config.run({}, place).out, ignore_errors=True)
 
 
 def _serve(config: TuningConfig) -> tuple[str, int]:
@@ -212,9 +194,9 @@ def _serve(config: TuningConfig) -> tuple[str, int]:
         probe.bind((host, 0))
         port = probe.getsockname()[1]
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)  # Optuna's proxy is one
-    one = ThreadPoolExecutor(1)  # more calls at a time would give a waiting trial to two workers
-    storage = studies.storage_in(config.journal)
-    serve = partial(optuna.storages.run_grpc_proxy_server, storage, host=host, port=port, thread_pool=one)
+    single = ThreadPoolExecutor(1)  # more calls at a time would give a waiting trial to two workers
+    storage = studies.storage_in(config.file("journal"))
+    serve = partial(optuna.storages.run_grpc_proxy_server, storage, host=host, port=port, thread_pool=single)
     threading.Thread(target=serve, daemon=True).start()
     return host, port
 
@@ -231,8 +213,7 @@ def _run_trials_away(config: TuningConfig, worker: int, channel: Channel, server
 
 def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any = None) -> None:
     """Run trials until there are enough; a worker whose process died begins again with a new one."""
-    study = open_study(config, storage)
-    _repeat_interrupted(config, study, worker)
+    study = begin(config, storage, worker)
     while not channel.stop.made and len(counted(study)) < config.trials:
         trial = studies.ask(study, SPACES[config.algorithm], config.seed, worker)
         run = config.run(trial.params, studies.place(study, trial))
@@ -264,7 +245,7 @@ def _value(config: TuningConfig, run: ReinforcementConfig, trial: Trial, stop: S
         if trial.should_prune():
             raise optuna.TrialPruned
 
-    train(run, ALGORITHMS[config.algorithm].make_learner, Channel(judge, stop))
+    train(run, Channel(judge, stop))
     return min(costs)
 
 
@@ -277,11 +258,6 @@ def counted(study: optuna.Study) -> list[FrozenTrial]:
     ]
 
 
-def trials_as_csv(study: optuna.Study) -> str:
-    """Format all trials as CSV: number, validation cost, settings, state and duration."""
-    return study.trials_dataframe(attrs=("number", "value", "params", "state", "duration")).to_csv(index=False)
-
-
 def training_command(config: TuningConfig, study: optuna.Study) -> str:
     """Command that trains with the settings found.
 
@@ -290,10 +266,12 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
     """
     if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         failures = [trial.user_attrs.get("failure", "") for trial in study.get_trials(deepcopy=False)]
-        raise ValueError(f"no trial of {config.journal} was completed; {next(filter(None, failures), 'none was run')}")
+        raise ValueError(
+            f"no trial of {config.file('journal')} was completed; {next(filter(None, failures), 'none was run')}"
+        )
     options = {"base": config.base, **study.best_params}
-    words = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
-    return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *words, '--arms', str(config.arms)])}"
+    arguments = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
+    return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *arguments, '--arms', str(config.arms)])}"
 
 
 def _shown(value: object) -> str:

@@ -99,10 +99,10 @@ def simulate(source: Source, observer: Observer, first: int, count: int) -> Epis
         first: Seed of the first arm.
         count: Number of arms.
     """
-    noted = Disturbed(source.controller(), observer, source.noise, first)
-    recording = rollout(noted, count, seed=first, randomization="train")
-    kept = np.flatnonzero(recording.finished)
-    inputs, true = np.stack(noted.inputs)[:, kept], truth(recording, observer.hold)[:, kept]
+    disturbed = Disturbed(source.controller(), observer, source.noise, first)
+    recording = rollout(disturbed, count, seed=first, randomization="train")
+    stayed = np.flatnonzero(recording.finished)
+    inputs, true = np.stack(disturbed.inputs)[:, stayed], truth(recording, observer.hold)[:, stayed]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
 
 

@@ -74,17 +74,14 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
     """
     try:
         content, arrays = read_packed(path, "observer")
-        made_for = {name: content[name] for name in ("format", "version", "layout", "edition")}
         observer = Observer(content["knowledge"], content["width"], content["hold"])
-        belongs = _belongs_to(observer)
     except FileNotFoundError:
         raise ObserverError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ObserverError(f"{path} is no observer of this release ({in_a_line(error)})") from None
-    for name, value in belongs.items():
-        if content.get(name) != value:
-            found = f": it has {in_a_line(repr(made_for[name]), 80)}, here is {value!r}" if name in made_for else ""
-            raise ObserverError(f"{path} was made for another {name}{found}; fit it again")
+    for name, value in _belongs_to(observer).items():
+        if (found := content.get(name)) != value:
+            raise ObserverError(f"{path} was made for another {name}, {in_a_line(repr(found), 80)}; fit it again")
     if any(value.dtype != np.float32 for value in arrays.values()):
         raise ObserverError(f"{path} has weights that are not in single precision; fit it again")
     try:

@@ -21,7 +21,7 @@ import torch
 from torch import nn
 
 from agents.observer.quantities import BELIEVED, NAMES, SCALES
-from agents.policy.actor import standardised
+from agents.policy.actor import Standardised
 from agents.policy.network import begun
 from agents.residual.knowledge import ENTRIES, Knowledge
 from beltarm_env import observation
@@ -49,7 +49,7 @@ def inputs_of(knowledge: Knowledge) -> tuple[str, ...]:
     return tuple(entry.name for entry in offered(knowledge) if entry.name != "base_torque")
 
 
-class Observer(nn.Module):
+class Observer(Standardised):
     """Learned observer.
 
     Args:
@@ -61,16 +61,14 @@ class Observer(nn.Module):
         ValueError: If a value is out of range.
     """
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
     error: torch.Tensor
     _units: torch.Tensor
 
     def __init__(self, knowledge: Knowledge = "belief", width: int = 32, hold: int = 4) -> None:
-        super().__init__()
         for name, value, most in (("width", width, MAX_WIDTH), ("hold", hold, 100)):
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
                 raise ValueError(f"an observer's {name} must be a whole number from 1 to {most}, got {value!r}")
+        super().__init__(len(inputs_of(knowledge)))
         self.knowledge: Knowledge = knowledge
         self.width, self.hold = width, hold
         names, entries = inputs_of(knowledge), offered(knowledge)
@@ -79,8 +77,6 @@ class Observer(nn.Module):
         self.columns = np.array([at[name] for name in names])
         self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None
         self.register_buffer("_units", torch.as_tensor(SCALES, dtype=torch.float32), persistent=False)
-        self.register_buffer("mean", torch.zeros(len(names)))
-        self.register_buffer("deviation", torch.ones(len(names)))
         self.register_buffer("error", torch.ones(len(NAMES)))
         self.gru = nn.GRU(len(names), width)
         self.heads = nn.Linear(len(names) + width, 2 * len(NAMES))
@@ -97,7 +93,7 @@ class Observer(nn.Module):
 
     def forward(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Corrections g and logarithms s, shape (T, n, quantities), for n whole episodes of shape (T, n, inputs)."""
-        features = standardised(inputs, self.mean, self.deviation)
+        features = self.standardised(inputs)
         return self._answer(features, self.gru(features)[0])
 
     def observe(
@@ -117,7 +113,7 @@ class Observer(nn.Module):
             raise ValueError(f"the observer chooses from {self._offered} entries, got shape {seen.shape}")
         with torch.no_grad():
             inputs = torch.as_tensor(np.ascontiguousarray(seen[:, self.columns]))
-            features = standardised(inputs, self.mean, self.deviation)
+            features = self.standardised(inputs)
             before = torch.as_tensor(begun(memory, episode_start, (len(seen), self.width)))
             sequence, following = self.gru(features[None], before[None])
             mean, deviation = self.estimated(inputs, *self._answer(features, sequence[0]))

@@ -1,13 +1,17 @@
 """Run that fits an observer: options, simulation in blocks that are kept, fit, and the file.
 
+The fit is the least negative log-likelihood of the truth, by Adam; what acts is the running average of the weights.
+
 Simulated episodes are kept beside the file until it is written: an interrupted run goes on with those that it has.
 """
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import shutil
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -23,9 +27,9 @@ import baselines
 import beltarm_env
 from agents.observer.episodes import STUDENT, Episodes, simulate_block
 from agents.observer.files import save_observer
-from agents.observer.fitting import fit, standardise
 from agents.observer.network import Observer
 from agents.policy.bundle import read_spec
+from agents.policy.regression import Regression
 from agents.residual.knowledge import Knowledge
 from agents.runs.checkpoint import written_by
 from baselines.engines.parallel import Channel, Failure, run_side_by_side
@@ -38,6 +42,8 @@ from baselines.tools.provenance import command_line
 from beltarm_env.sources import sources_digest
 from beltarm_env.task.seeds import OBSERVER
 
+_MAX_GRADIENT = 1.0
+_FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
 _BLOCK = 512  # episodes that are simulated side by side, and kept in one file
 
 
@@ -93,19 +99,65 @@ class ObserverConfig:
         return self.file.parent / f".{self.file.stem}-episodes"
 
 
+def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Tensor:
+    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e, cut at `_FARTHEST`."""
+    inputs = episodes.inputs.float()
+    g, s = observer(inputs)
+    d = ((episodes.truth - observer.believed(inputs)) / observer.error).clamp(-_FARTHEST, _FARTHEST)
+    return (0.5 * ((d - g) / s.exp()).square() + s).mean()
+
+
+def standardise(observer: Observer, episodes: Episodes) -> None:
+    """Set the scales of an observer's inputs and corrections by what there is in some episodes."""
+    inputs = episodes.inputs.float()
+    observer.set_scales(inputs)
+    observer.error = (episodes.truth - observer.believed(inputs)).flatten(0, 1).square().mean(dim=0).sqrt()
+
+
+def fit(
+    observer: Observer, episodes: Episodes, epochs: int, learning_rate: float, batch_size: int
+) -> Iterator[tuple[float, float]]:
+    """Fit an observer in place, by the running average of the weights.
+
+    Args:
+        observer: Untrained, with its scales set.
+        episodes: What to fit it to.
+        epochs: Passes over them.
+        learning_rate: At first; it falls to zero.
+        batch_size: Episodes per gradient step.
+
+    Yields:
+        Share that is done, and the loss, after every gradient step.
+
+    Raises:
+        ValueError: If the loss is not finite.
+    """
+    network = copy.deepcopy(observer)
+    regression = Regression(network, _MAX_GRADIENT)
+    count = episodes.truth.shape[1]
+    batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
+    for k, rows in enumerate(batches):
+        loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
+        if not np.isfinite(loss.item()):
+            raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
+        regression.step(loss, learning_rate * (1 - k / len(batches)))
+        yield (k + 1) / len(batches), loss.item()
+    observer.load_state_dict(regression.averaged().state_dict())
+
+
 def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
     """Simulate all episodes, but for those that an interrupted run left."""
     stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
     blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
     files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.npz" for block in blocks}
-    left = {block: file for block, file in files.items() if not file.exists()}
-    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in left.items()}
+    missing = {block: file for block, file in files.items() if not file.exists()}
+    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
     with (
         closing(run_side_by_side(tasks, config.jobs)) as outcomes,
         progress_rows(["episodes"], len(blocks), Console(stderr=True)) as rows,
     ):
-        rows.show("episodes", len(blocks) - len(left))
-        for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(left) + 1):
+        rows.show("episodes", len(blocks) - len(missing))
+        for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(missing) + 1):
             if isinstance(outcome, Failure):
                 raise outcome.error
             rows.show("episodes", done)
@@ -137,25 +189,20 @@ def run(config: ObserverConfig) -> None:
         OSError: If files cannot be written.
         KeyboardInterrupt: If interrupted; simulated episodes are kept.
     """
-    observer = config.check()
+    observer, began = config.check(), time.perf_counter()
     require_writable(config.file.parent)
-    try:
-        _fit_and_save(config, observer)
-    except KeyboardInterrupt:
-        kept = "interrupted; simulated episodes are kept, and the same command continues with them"
-        raise KeyboardInterrupt(kept) from None
-
-
-def _fit_and_save(config: ObserverConfig, observer: Observer) -> None:
-    began = time.perf_counter()
     provenance = {"command": command_line(), **written_by(), "config": asdict(config) | {"out": str(config.file)}}
-    episodes = _simulated(config, observer)
-    torch.set_num_threads(1)
-    torch.manual_seed(config.seed)  # simulating in this process draws from it too
-    standardise(observer, episodes)
-    with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
-        for share, loss in fit(observer, episodes, config.epochs, config.learning_rate, config.batch_size):
-            rows.show("fit", share, f"loss {loss:.3f}")
+    try:
+        episodes = _simulated(config, observer)
+        torch.set_num_threads(1)
+        torch.manual_seed(config.seed)  # simulating in this process draws from it too
+        standardise(observer, episodes)
+        with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
+            for share, loss in fit(observer, episodes, config.epochs, config.learning_rate, config.batch_size):
+                rows.show("fit", share, f"loss {loss:.3f}")
+    except KeyboardInterrupt:
+        message = "interrupted; simulated episodes are kept, and the same command continues with them"
+        raise KeyboardInterrupt(message) from None
     seconds = time.perf_counter() - began
     done = {"episodes": episodes.truth.shape[1], "seconds": round(seconds, 1)}
     save_observer(config.file, observer, {**provenance, "run": done})

@@ -16,19 +16,36 @@ from agents.policy.weights import FARTHEST, ActorShape, Weights
 
 MODULES: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 """Of `weights.ACTIVATIONS`."""
+_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
 
 
-class Actor(nn.Module):
+class Standardised(nn.Module):
+    """Network whose inputs are standardised by the mean and deviation that they had in training."""
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("deviation", torch.ones(inputs))
+
+    def set_scales(self, inputs: torch.Tensor) -> None:
+        """Take mean and deviation of inputs of shape (T, n, inputs)."""
+        flat = inputs.flatten(0, 1)
+        self.mean, self.deviation = flat.mean(dim=0), flat.std(dim=0).clamp_min(_LEAST_DEVIATION)
+
+    def standardised(self, inputs: torch.Tensor, part: slice = slice(None)) -> torch.Tensor:
+        """Standardise a part of the inputs, cut at `FARTHEST` deviations."""
+        return ((inputs - self.mean[part]) / self.deviation[part]).clamp(-FARTHEST, FARTHEST)
+
+
+class Actor(Standardised):
     """Network from what a residual agent observes to its residual, for training; `NetworkPolicy` acts by it."""
 
     def __init__(self, shape: ActorShape) -> None:
-        super().__init__()
+        super().__init__(shape.inputs)
         self.shape = shape
-        if shape.standardised:
-            self.mean: torch.Tensor
-            self.deviation: torch.Tensor
-            self.register_buffer("mean", torch.zeros(shape.inputs))
-            self.register_buffer("deviation", torch.ones(shape.inputs))
         self.lstm = nn.LSTM(shape.inputs, shape.lstm) if shape.lstm else None
         self.gru = nn.GRU(shape.inputs, shape.gru) if shape.gru else None
         layers: list[nn.Module] = []
@@ -38,8 +55,8 @@ class Actor(nn.Module):
 
     def weights(self) -> Weights:
         """Copy of its weights as they are now."""
-        arrays = {name: value.detach().cpu().numpy().copy() for name, value in self.state_dict().items()}
-        return Weights(self.shape, arrays)
+        state = self.state_dict()
+        return Weights(self.shape, {name: state[name].cpu().numpy().copy() for name in self.shape.arrays()})
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Outputs u before they are bounded, shape (T, n, 1), for n whole episodes of shape (T, n, inputs).
@@ -47,18 +64,10 @@ class Actor(nn.Module):
         Not for an actor with an LSTM, which is trained elsewhere.
         """
         assert self.lstm is None, "trained by its own library"
-        features = self._standardised(observations)
+        features = self.standardised(observations) if self.shape.standardised else observations
         if self.gru is not None:
             features = torch.cat([features, self.gru(features)[0]], dim=-1)
         return self.layers(features)
-
-    def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
-        return standardised(observations, self.mean, self.deviation) if self.shape.standardised else observations
-
-
-def standardised(inputs: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-    """Inputs by the mean and deviation that they had in training, cut at `FARTHEST`."""
-    return ((inputs - mean) / deviation).clamp(-FARTHEST, FARTHEST)
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:

@@ -9,24 +9,37 @@ A policy is either what was saved or refused. Replacing its file is the instant 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from agents.policy.card import CARD, POLICY_FILE, card
 from agents.policy.description import BundleError, BundleSpec, spec_of
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
 from agents.residual.bases import make_base
-from agents.residual.controller import ResidualController
-from agents.tensor_file import MAX_BYTES, packed, read_packed
+from agents.residual.controller import Policy, ResidualController
+from agents.tensor_file import MAX_BYTES, packed, unpacked
 from baselines.tools.files import read_regular, write_atomically, write_text
 from baselines.tools.schema import in_a_line
+from beltarm_env.arrays import Flags, Singles
 
 POLICIES = Path(__file__).resolve().parents[1] / "policies"
 """Folder of the shipped policies that see the encoder alone: METHOD/SEED, each the folder of a policy."""
-FELT_POLICIES = POLICIES.with_name("policies_accelerometer")
+ACCELEROMETER_POLICIES = POLICIES.with_name("policies_accelerometer")
 """Folder of those that have an accelerometer, which are ranked with none of the others."""
+
+
+class Bundle(NamedTuple):
+    """Content of a policy's folder."""
+
+    weights: Weights
+    spec: BundleSpec
+    content: dict[str, Any]  # the same description as JSON has it
+    data: bytes  # of the file that all of this was read from
 
 
 def save_bundle(folder: Path, spec: BundleSpec, weights: Weights) -> None:
@@ -50,32 +63,20 @@ def annotate(folder: Path, **provenance: Any) -> None:
     Raises:
         BundleError: If there is no sound policy.
     """
-    weights, spec, _ = read_weights(folder)
-    save_bundle(folder, replace(spec, provenance={**spec.provenance, **provenance}), weights)
+    bundle = read_bundle(folder)
+    save_bundle(folder, replace(bundle.spec, provenance={**bundle.spec.provenance, **provenance}), bundle.weights)
 
 
-def load_controller(folder: Path | str) -> ResidualController:
-    """Load a policy as a controller on the environment's observation; raises the errors of `read_weights`."""
-    weights, spec, _ = read_weights(folder)
-    policy = NetworkPolicy(weights, spec.columns(), len(spec.offered()))
-    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
-
-
-def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
-    """Read a policy's description, also as JSON has it; raises the errors of `read_weights`."""
-    _, spec, content = read_weights(folder)
-    return spec, content
-
-
-def read_weights(folder: Path | str) -> tuple[Weights, BundleSpec, dict[str, Any]]:
-    """Read a policy whole: its weights, and its description, also as JSON has it.
+def read_bundle(folder: Path | str) -> Bundle:
+    """Read a policy whole.
 
     Raises:
         BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
     """
     path = Path(folder) / POLICY_FILE
     try:
-        content, arrays = read_packed(path, "policy")
+        data = read_regular(path, MAX_BYTES)
+        content, arrays = unpacked(data, "policy")
     except FileNotFoundError:
         message = f"no policy at {folder}: {POLICY_FILE} is missing; a policy is a folder such as runs/ppo/best"
         raise BundleError(message) from None
@@ -86,10 +87,76 @@ def read_weights(folder: Path | str) -> tuple[Weights, BundleSpec, dict[str, Any
         weights = Weights(spec.shape(), arrays)
     except ValueError as error:
         raise BundleError(f"{path} does not hold the weights that it describes: {in_a_line(error)}") from None
-    return weights, spec, content
+    return Bundle(weights, spec, content, data)
 
 
-def bundle_files(folder: Path) -> dict[str, bytes]:
-    """Content of the file that a policy is loaded from, by name; raises the errors of `read_weights`."""
-    read_weights(folder)
-    return {POLICY_FILE: read_regular(folder / POLICY_FILE, MAX_BYTES)}
+def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
+    """Read a policy's description, also as JSON has it; raises the errors of `read_bundle`."""
+    bundle = read_bundle(folder)
+    return bundle.spec, bundle.content
+
+
+def load_controller(*folders: Path | str) -> ResidualController:
+    """Load a policy as a controller on the environment's observation.
+
+    Of several policies, which may differ in their weights alone, each acts on an equal share of the arms. Base and
+    identification then run once for the whole batch, and an arm moves as it does with its policy alone, bit for bit.
+
+    Raises:
+        BundleError: As `read_bundle`.
+        ValueError: If policies differ in more than their weights.
+    """
+    bundles = [read_bundle(folder) for folder in folders]
+    spec = bundles[0].spec
+    for folder, bundle in zip(folders, bundles, strict=True):
+        if not _are_alike(bundle.spec, spec):
+            raise ValueError(f"{folder} is not built as {folders[0]}: load each by itself")
+    policies = [NetworkPolicy(bundle.weights, spec.columns(), len(spec.offered())) for bundle in bundles]
+    policy = policies[0] if len(policies) == 1 else PoliciesSideBySide(policies)
+    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
+
+
+def are_alike(folders: Sequence[Path | str]) -> bool:
+    """Whether policies differ in their weights alone; raises the errors of `read_bundle`."""
+    specs = [read_spec(folder)[0] for folder in folders]
+    return all(_are_alike(spec, specs[0]) for spec in specs)
+
+
+def _are_alike(spec: BundleSpec, other: BundleSpec) -> bool:
+    return replace(spec, provenance={}) == replace(other, provenance={})
+
+
+class PoliciesSideBySide:
+    """Policies of which each has an equal share of the rows, in order.
+
+    Args:
+        policies: At least one, all with memories of one shape, rows first, or none of them with any.
+    """
+
+    def __init__(self, policies: Sequence[Policy]) -> None:
+        self.policies = tuple(policies)
+
+    def predict(
+        self,
+        observation: Singles,
+        state: Singles | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Singles, Any]:
+        """Residuals of shape (n, 1) for observations of shape (n, entries), see `Policy`.
+
+        Raises:
+            ValueError: If n is no multiple of the number of policies.
+        """
+        rows, count = len(observation), len(self.policies)
+        if rows % count:
+            raise ValueError(f"{count} policies share rows equally, got {rows}: give a multiple of {count}")
+        residuals, memories = [], []
+        for k, policy in enumerate(self.policies):
+            share = slice(k * rows // count, (k + 1) * rows // count)
+            begins = None if episode_start is None else episode_start[share]
+            memory = None if state is None else state[share]
+            residual, following = policy.predict(observation[share], memory, begins, deterministic)
+            residuals.append(residual)
+            memories.append(following)
+        return np.concatenate(residuals), None if memories[0] is None else np.concatenate(memories)

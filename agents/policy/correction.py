@@ -1,9 +1,9 @@
 """A learned residual as a kernel for one arm: what `ResidualController` adds to its base, without its batches.
 
-    every `hold` samples:   o = [observation, what the agent is told],  r = policy(o[columns])
+    every `hold` samples:   o = [observation, extra entries],  r = policy(o[columns])
     every sample:           action = combined(base's action, r, limit)
 
-The base's own law, and the filter whose belief the agent is told, are kernels beside this one.
+The base's own law, and the filter whose belief the agent observes, are kernels beside this one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from agents.policy.network import Network, NetworkPolicy, evaluate
 from agents.residual.controller import ResidualController
-from agents.residual.knowledge import ENTRIES, RECENT, Filters, Telling, note_unexplained, tell_belief, tell_torque
+from agents.residual.knowledge import (
+    ENTRIES,
+    RECENT,
+    ExtraEntries,
+    Filters,
+    push_unexplained,
+    write_belief,
+    write_torque,
+)
 from baselines.estimation.identification import ArmIdentifier
 from baselines.reading import Sample
 from beltarm_env import observation as layout
@@ -27,7 +35,7 @@ class Correction(NamedTuple):
     """Constants of `correct`."""
 
     network: Network
-    telling: Telling
+    entries: ExtraEntries
     columns: NDArray[np.int64]  # place of each of the policy's inputs in what the agent observes
     hold: int  # samples per residual
     limit: float  # of `combined`: largest residual, as a share of the torque limit
@@ -40,7 +48,7 @@ class CorrectionMemory(NamedTuple):
     residual: Singles  # held, shape (1, 1)
     age: NDArray[np.int64]  # samples since the episode's start, shape (1,)
     unexplained: Floats  # angles of the last samples [rad], shape (RECENT,)
-    seen: Singles  # what the agent observes, shape (size + told,)
+    seen: Singles  # what the agent observes, shape (size + entries,)
     inputs: Singles  # of the policy, shape (1, inputs)
     layers: Singles  # work of `evaluate`
 
@@ -50,7 +58,7 @@ class CorrectionKernel(NamedTuple):
 
     design: Correction  # for `correct` and `combined`
     memory: CorrectionMemory  # a template; nothing in it counts where an episode begins
-    identifier: ArmIdentifier | None  # that runs beside the base; None if the base shares its belief or none is told
+    identifier: ArmIdentifier | None  # that runs beside the base; None if it has one, or none is observed
 
 
 @compiled
@@ -70,7 +78,7 @@ def correct(
         observation: Of the environment, shape (size,).
         action: Of the base: its torque over the limit, cut and in single precision.
         now: What is measured.
-        filters: One filter, at this sample; None if the agent is told of none.
+        filters: One filter, at this sample; None if the agent observes none.
         begins: Whether an episode begins.
         memory: Written.
     """
@@ -78,15 +86,15 @@ def correct(
         memory.age[0] = 0
         memory.recurrent[:] = 0.0
     if filters is not None:
-        note_unexplained(filters, 0, begins, memory.unexplained)
+        push_unexplained(filters, 0, begins, memory.unexplained)
     if memory.age[0] % design.hold == 0:
         size = len(observation)
         for k in range(size):
             memory.seen[k] = observation[k]
-        told = memory.seen[size:]
-        tell_torque(design.telling, action, told)
+        extra = memory.seen[size:]
+        write_torque(design.entries, action, extra)
         if filters is not None:
-            tell_belief(design.telling, now, filters, 0, memory.unexplained, told)
+            write_belief(design.entries, now, filters, 0, memory.unexplained, extra)
         for k in range(len(design.columns)):
             memory.inputs[0, k] = memory.seen[design.columns[k]]
         evaluate(design.network, memory.inputs, memory.recurrent, memory.layers, memory.residual)
@@ -120,5 +128,5 @@ def correction(controller: ResidualController, sensors: str = "encoder") -> Corr
         inputs=np.zeros((1, policy.shape.inputs), np.float32),
         layers=np.zeros((2, 1, policy.widest), np.float32),
     )
-    design = Correction(policy.network, informed.telling, policy.columns, settings.hold, settings.limit)
+    design = Correction(policy.network, informed.entries, policy.columns, settings.hold, settings.limit)
     return CorrectionKernel(design, memory, informed.identifier)

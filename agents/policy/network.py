@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policy.weights import ACTIVATIONS, FARTHEST, Weights
-from agents.residual.limits import cut
+from agents.residual.knowledge import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.engine import compiled, in_threads, inlined
@@ -40,7 +40,7 @@ class Network(NamedTuple):
     weights: Singles  # matrices by input, each before its bias, the recurrent ones first
     widths: NDArray[np.int64]  # from the first layer's input on
     kind: int  # feedforward, GRU or LSTM
-    remembered: int  # width of the GRU or LSTM
+    memory_width: int  # of the GRU or LSTM
     activation: int  # place in `ACTIVATIONS`
     squashed: bool  # tanh at the end instead of a cut
     standardised: bool  # whether inputs are, by the following
@@ -114,7 +114,7 @@ def _network(weights: Weights) -> Network:
         weights=np.concatenate([part for weight, bias in blocks for part in (weight.T.ravel(), bias)]),
         widths=np.array(shape.widths),
         kind=_LSTM if shape.lstm else _GRU if shape.gru else _FEEDFORWARD,
-        remembered=shape.remembered,
+        memory_width=shape.memory_width,
         activation=ACTIVATIONS.index(shape.activation),
         squashed=shape.squashed,
         standardised=shape.standardised,
@@ -195,14 +195,14 @@ def _affine(inputs: Singles, size: int, weights: Singles, start: int, outputs: S
 def _gru(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
     """Gated recurrent unit, as PyTorch has it: gates r, z and n side by side. Return where further weights begin."""
     rows, size = inputs.shape
-    width, seen, remembered = net.remembered, work[0], work[1]
-    start = _affine(inputs, size, net.weights, 0, seen, 3 * width, rows)
-    start = _affine(memory, width, net.weights, start, remembered, 3 * width, rows)
+    width, of_input, of_memory = net.memory_width, work[0], work[1]
+    start = _affine(inputs, size, net.weights, 0, of_input, 3 * width, rows)
+    start = _affine(memory, width, net.weights, start, of_memory, 3 * width, rows)
     for r in range(rows):
         for j in range(width):
-            reset = _sigmoid(np.float64(seen[r, j]) + np.float64(remembered[r, j]))
-            update = _sigmoid(np.float64(seen[r, width + j]) + np.float64(remembered[r, width + j]))
-            new = _tanh(np.float64(seen[r, 2 * width + j]) + reset * np.float64(remembered[r, 2 * width + j]))
+            reset = _sigmoid(np.float64(of_input[r, j]) + np.float64(of_memory[r, j]))
+            update = _sigmoid(np.float64(of_input[r, width + j]) + np.float64(of_memory[r, width + j]))
+            new = _tanh(np.float64(of_input[r, 2 * width + j]) + reset * np.float64(of_memory[r, 2 * width + j]))
             memory[r, j] = (1 - update) * new + update * np.float64(memory[r, j])
     return start
 
@@ -214,18 +214,18 @@ def _lstm(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
     Return where further weights begin.
     """
     rows, size = inputs.shape
-    width, seen, remembered = net.remembered, work[0], work[1]
-    start = _affine(inputs, size, net.weights, 0, seen, 4 * width, rows)
-    start = _affine(memory, width, net.weights, start, remembered, 4 * width, rows)
+    width, of_input, of_memory = net.memory_width, work[0], work[1]
+    start = _affine(inputs, size, net.weights, 0, of_input, 4 * width, rows)
+    start = _affine(memory, width, net.weights, start, of_memory, 4 * width, rows)
     for r in range(rows):
         for j in range(width):
-            taken = _sigmoid(np.float64(seen[r, j]) + np.float64(remembered[r, j]))
-            kept = _sigmoid(np.float64(seen[r, width + j]) + np.float64(remembered[r, width + j]))
-            new = _tanh(np.float64(seen[r, 2 * width + j]) + np.float64(remembered[r, 2 * width + j]))
-            shown = _sigmoid(np.float64(seen[r, 3 * width + j]) + np.float64(remembered[r, 3 * width + j]))
-            cell = kept * np.float64(memory[r, width + j]) + taken * new
+            input_gate = _sigmoid(np.float64(of_input[r, j]) + np.float64(of_memory[r, j]))
+            forget_gate = _sigmoid(np.float64(of_input[r, width + j]) + np.float64(of_memory[r, width + j]))
+            new = _tanh(np.float64(of_input[r, 2 * width + j]) + np.float64(of_memory[r, 2 * width + j]))
+            output_gate = _sigmoid(np.float64(of_input[r, 3 * width + j]) + np.float64(of_memory[r, 3 * width + j]))
+            cell = forget_gate * np.float64(memory[r, width + j]) + input_gate * new
             memory[r, width + j] = cell
-            memory[r, j] = shown * _tanh(cell)
+            memory[r, j] = output_gate * _tanh(cell)
     return start
 
 

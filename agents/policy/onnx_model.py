@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.bundle import read_weights
+from agents.policy.bundle import read_bundle
 from agents.policy.weights import FARTHEST, Weights
 from baselines.tools.files import write_atomically
 from beltarm_env.arrays import Singles
@@ -46,10 +46,10 @@ def onnx_model(folder: Path | str) -> onnx.ModelProto:
         BundleError: If the policy is missing, damaged, or foreign.
         DependencyNotInstalled: If the package onnx is not installed.
     """
-    weights, spec, content = read_weights(folder)
-    told = {name: content[name] for name in ("base", "edition", "sensors", "entries")}
-    told |= {"hold": spec.residual.hold, "limit": spec.residual.limit, "description": content}
-    texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()}
+    weights, spec, content, _ = read_bundle(folder)
+    metadata = {name: content[name] for name in ("base", "edition", "sensors", "entries")}
+    metadata |= {"hold": spec.residual.hold, "limit": spec.residual.limit, "description": content}
+    texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in metadata.items()}
     return model_of(weights, texts)
 
 
@@ -62,109 +62,91 @@ def write_onnx(folder: Path | str, path: Path) -> None:
 def model_of(weights: Weights, metadata: Mapping[str, str]) -> onnx.ModelProto:
     """Make the ONNX model of a network; raises DependencyNotInstalled if the package onnx is not installed."""
     try:
-        from onnx import TensorProto, checker, helper
+        from onnx import checker, helper, numpy_helper, parser
     except ImportError:
         raise DependencyNotInstalled("an ONNX model needs the package onnx: pip install -e '.[onnx]'") from None
-    shape, graph = weights.shape, _Graph()
-    _write_network(graph, weights)
-
-    def described(name: str, *sizes: int) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", *sizes])
-
-    inputs, outputs = [described("observation", shape.inputs)], [described("residual", 1)]
-    if shape.recurrent:
-        inputs, outputs = (
-            [*inputs, described("state", *shape.memory)],
-            [*outputs, described("next_state", *shape.memory)],
-        )
-    model = helper.make_model(
-        helper.make_graph(graph.nodes, "residual_policy", inputs, outputs, graph.constants),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=_IR,
-        producer_name="beltarm",
+    shape = weights.shape
+    nodes, constants = _network(weights)
+    memory = "float[n, {}]".format(", ".join(map(str, shape.memory)))
+    state, following = (f", {memory} state", f", {memory} next_state") if shape.recurrent else ("", "")
+    model = parser.parse_model(
+        f'<ir_version: {_IR}, opset_import: ["" : {OPSET}], producer_name: "beltarm">\n'
+        f"residual_policy (float[n, {shape.inputs}] observation{state}) => (float[n, 1] residual{following}) "
+        "{\n" + "\n".join(nodes) + "\n}"
     )
+    arrays = {name: np.ascontiguousarray(value) for name, value in constants.items()}
+    model.graph.initializer.extend(numpy_helper.from_array(value, name) for name, value in arrays.items())
     helper.set_model_props(model, dict(metadata))
     checker.check_model(model, full_check=True)
     return model
 
 
-class _Graph:
-    """Nodes and constants of a graph that is being written."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-
-    def add(self, kind: str, *inputs: str, outputs: Sequence[str] = (), **attributes: Any) -> str:
-        """Add a node, with one output of its own if none are named. Return the name of the first."""
-        from onnx import helper
-
-        name = f"{kind.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, inputs, outputs := outputs or (name,), name, **attributes))
-        return outputs[0]
-
-    def constant(self, name: str, value: object) -> str:
-        """Add a constant. Return its name."""
-        from onnx import numpy_helper
-
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
-        return name
-
-
-def _write_network(graph: _Graph, weights: Weights) -> None:
-    """Write the nodes from the observation, and the state, to the residual, and the next state."""
+def _network(weights: Weights) -> tuple[list[str], dict[str, Any]]:
+    """Nodes from the observation, and the state, to the residual, and the next state; and their constants."""
     shape, features = weights.shape, "observation"
+    nodes, constants = list[str](), dict[str, Any]()
     if shape.standardised:
-        centred = graph.add("Sub", features, graph.constant("mean", weights.arrays["mean"]))
-        ratio = graph.add("Div", centred, graph.constant("deviation", weights.arrays["deviation"]))
-        features = _cut(graph, ratio, "farthest", FARTHEST)
-    if shape.gru:
-        features = graph.add("Concat", features, _remembered(graph, weights, features), axis=1)
-    elif shape.lstm:
-        features = _remembered(graph, weights, features)
-    for k, (matrix, offset) in enumerate(weights.layers()):
-        weight, bias = graph.constant(f"weight_{k}", matrix), graph.constant(f"bias_{k}", offset)
-        features = graph.add("Gemm", features, weight, bias, transB=1)
-        if k < len(shape.hidden):
-            features = graph.add(_ACTIVATIONS[shape.activation], features)
+        constants |= {name: weights.arrays[name] for name in ("mean", "deviation")}
+        constants |= {"low": np.float32(-FARTHEST), "high": np.float32(FARTHEST)}
+        nodes += ["centred = Sub (observation, mean)", "ratio = Div (centred, deviation)"]
+        nodes += ["standardised = Clip (ratio, low, high)"]
+        features = "standardised"
+    if shape.recurrent:
+        own, recurrent = _gru(weights, features) if shape.gru else _lstm(weights, features)
+        nodes, constants = [*nodes, *own], constants | recurrent
+        nodes += [f"seen = Concat <axis = 1> ({features}, memory)" if shape.gru else "seen = Identity (memory)"]
+        features = "seen"
+    layers = weights.layers()
+    for k, (matrix, offset) in enumerate(layers):
+        constants |= {f"weight_{k}": matrix, f"bias_{k}": offset}
+        nodes.append(f"layer_{k} = Gemm <transB = 1> ({features}, weight_{k}, bias_{k})")
+        features = f"layer_{k}"
+        if k < len(layers) - 1:
+            nodes.append(f"active_{k} = {_ACTIVATIONS[shape.activation]} (layer_{k})")
+            features = f"active_{k}"
     if shape.squashed:
-        graph.add("Tanh", features, outputs=["residual"])
-    else:
-        _cut(graph, features, "limit", 1.0, outputs=["residual"])
+        return [*nodes, f"residual = Tanh ({features})"], constants
+    constants |= {"minus_one": np.float32(-1.0), "one": np.float32(1.0)}
+    return [*nodes, f"residual = Clip ({features}, minus_one, one)"], constants
 
 
-def _cut(graph: _Graph, features: str, name: str, most: float, outputs: Sequence[str] = ()) -> str:
-    bounds = [graph.constant(f"{side}_{name}", np.float32(bound)) for side, bound in (("minus", -most), ("plus", most))]
-    return graph.add("Clip", features, *bounds, outputs=outputs)
+def _gru(weights: Weights, features: str) -> tuple[list[str], dict[str, Any]]:
+    """Nodes and constants of a GRU, for one step."""
+    return [
+        f"steps = Unsqueeze ({features}, first)",
+        "before = Unsqueeze (state, first)",
+        f", hidden = GRU <hidden_size = {weights.shape.gru}, linear_before_reset = 1> "
+        "(steps, input_weight, hidden_weight, recurrent_bias, , before)",
+        "next_state = Squeeze (hidden, first)",
+        "memory = Identity (next_state)",
+    ], _recurrent_constants(weights, (1, 0, 2))
 
 
-def _remembered(graph: _Graph, weights: Weights, features: str) -> str:
-    """Write the GRU or LSTM, for one step. Return its hidden state, shape (n, width).
+def _lstm(weights: Weights, features: str) -> tuple[list[str], dict[str, Any]]:
+    """Nodes and constants of an LSTM, for one step."""
+    return [
+        f"steps = Unsqueeze ({features}, first)",
+        "parts = Transpose <perm = [1, 0, 2]> (state)",
+        "hidden_before, cell_before = Split <axis = 0> (parts)",
+        f", hidden, cell = LSTM <hidden_size = {weights.shape.lstm}> "
+        "(steps, input_weight, hidden_weight, recurrent_bias, , hidden_before, cell_before)",
+        "parts_after = Concat <axis = 0> (hidden, cell)",
+        "next_state = Transpose <perm = [1, 0, 2]> (parts_after)",
+        "memory = Squeeze (hidden, first)",
+    ], _recurrent_constants(weights, (0, 3, 1, 2))
 
-    ONNX has the gates of a GRU in the order z, r, n and those of an LSTM in the order i, o, f, g, and one axis for the
-    steps before, and one for the directions beside the rows.
-    """
-    shape = weights.shape
-    order, width = (1, 0, 2) if shape.gru else (0, 3, 1, 2), shape.remembered
-    (weight_in, bias_in), (weight_hidden, bias_hidden) = weights.recurrent()
+
+def _recurrent_constants(weights: Weights, order: Sequence[int]) -> dict[str, Any]:
+    """Weights with the gates in ONNX's order: z, r, n of a GRU, i, o, f, g of an LSTM; one direction comes first."""
+    width = weights.shape.memory_width
+    (input_weight, input_bias), (hidden_weight, hidden_bias) = weights.recurrent()
 
     def gates(rows: Singles) -> Singles:
         return np.concatenate([rows[gate * width : (gate + 1) * width] for gate in order])[None]
 
-    first = graph.constant("first", np.array([0]))
-    steps = graph.add("Unsqueeze", features, first)
-    constants = [
-        graph.constant("recurrent_weight", gates(weight_in)),
-        graph.constant("hidden_weight", gates(weight_hidden)),
-        graph.constant("recurrent_bias", np.concatenate([gates(bias_in), gates(bias_hidden)], axis=1)),
-    ]
-    if shape.gru:
-        before = graph.add("Unsqueeze", "state", first)
-        hidden = ["", "hidden"]
-        graph.add("GRU", steps, *constants, "", before, outputs=hidden, hidden_size=width, linear_before_reset=1)
-        return graph.add("Squeeze", "hidden", first, outputs=["next_state"])
-    parts, states = ["hidden_before", "cell_before"], ["hidden", "cell"]
-    graph.add("Split", graph.add("Transpose", "state", perm=[1, 0, 2]), outputs=parts, axis=0)
-    graph.add("LSTM", steps, *constants, "", *parts, outputs=["", *states], hidden_size=width)
-    graph.add("Transpose", graph.add("Concat", *states, axis=0), outputs=["next_state"], perm=[1, 0, 2])
-    return graph.add("Squeeze", "hidden", first)
+    return {
+        "first": np.array([0]),
+        "input_weight": gates(input_weight),
+        "hidden_weight": gates(hidden_weight),
+        "recurrent_bias": np.concatenate([gates(input_bias), gates(hidden_bias)], axis=1),
+    }

@@ -1,4 +1,4 @@
-"""What is fitted by regression here has in common: scales of inputs, gradient steps, average of the weights."""
+"""Fit of a network by gradient steps, and the running average of its weights, by which it acts."""
 
 from __future__ import annotations
 
@@ -11,14 +11,7 @@ from torch.nn.utils import clip_grad_norm_
 from torch.optim.swa_utils import AveragedModel
 
 _WARM_UP = 50  # gradient steps over which the learning rate rises, and the average's memory grows
-_KEPT = 0.998  # share of the average that a gradient step leaves
-_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
-
-
-def scales_of(inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Mean and standard deviation of inputs of shape (T, n, inputs), each of shape (inputs,)."""
-    flat = inputs.flatten(0, 1)
-    return flat.mean(dim=0), flat.std(dim=0).clamp_min(_LEAST_DEVIATION)
+_DECAY = 0.998  # share of the average that a gradient step leaves
 
 
 class Regression:
@@ -30,7 +23,7 @@ class Regression:
     """
 
     def __init__(self, network: nn.Module, max_gradient: float) -> None:
-        self.network = network
+        self.network: Any = network
         self._max_gradient = max_gradient
         self._average = AveragedModel(network, avg_fn=_running_average)
         self._optimiser = torch.optim.Adam(network.parameters())
@@ -70,5 +63,5 @@ def _running_average(average: torch.Tensor, now: torch.Tensor, updates: torch.Te
     [1] B. T. Polyak, A. B. Juditsky: Acceleration of Stochastic Approximation by Averaging, SIAM J. Control Optim. 30,
     1992.
     """
-    kept = min(_KEPT, float(updates) / (float(updates) + _WARM_UP))
-    return average.lerp(now, 1 - kept)
+    decay = min(_DECAY, float(updates) / (float(updates) + _WARM_UP))
+    return average.lerp(now, 1 - decay)

@@ -61,14 +61,14 @@ class ActorShape:
         return "lstm" if self.lstm else "gru" if self.gru else ""
 
     @property
-    def remembered(self) -> int:
+    def memory_width(self) -> int:
         """Width of the recurrent layer, 0 for none."""
         return self.lstm or self.gru
 
     @property
     def gates(self) -> int:
         """Width of its gates side by side, 0 for none."""
-        return _GATES[self.recurrent] * self.remembered
+        return _GATES[self.recurrent] * self.memory_width
 
     @property
     def memory(self) -> tuple[int, ...]:
@@ -82,16 +82,16 @@ class ActorShape:
 
     def arrays(self) -> dict[str, tuple[int, ...]]:
         """Names of the arrays, and their shapes: of matrices, outputs first."""
-        found: dict[str, tuple[int, ...]] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
         if self.standardised:
-            found |= {"mean": (self.inputs,), "deviation": (self.inputs,)}
+            shapes |= {"mean": (self.inputs,), "deviation": (self.inputs,)}
         if self.recurrent:
-            for kind, inputs in (("ih", self.inputs), ("hh", self.remembered)):
-                found |= {f"{self.recurrent}.weight_{kind}_l0": (self.gates, inputs)}
-                found |= {f"{self.recurrent}.bias_{kind}_l0": (self.gates,)}
+            for kind, inputs in (("ih", self.inputs), ("hh", self.memory_width)):
+                shapes |= {f"{self.recurrent}.weight_{kind}_l0": (self.gates, inputs)}
+                shapes |= {f"{self.recurrent}.bias_{kind}_l0": (self.gates,)}
         for k, (before, after) in enumerate(pairwise(self.widths)):
-            found |= {f"layers.{2 * k}.weight": (after, before), f"layers.{2 * k}.bias": (after,)}
-        return found
+            shapes |= {f"layers.{2 * k}.weight": (after, before), f"layers.{2 * k}.bias": (after,)}
+        return shapes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,1 +1,1 @@
-"""Residual action on a base controller: what the agent is told, how it acts, the task as environments."""
+"""Residual action on a base controller: what the agent observes, how it acts, the task as environments."""

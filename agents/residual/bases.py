@@ -17,7 +17,7 @@ from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
 from baselines.reading import Sample
 from baselines.registry import FELT
-from baselines.tools.command import nearest
+from baselines.tools.command import require_known
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
 from beltarm_env.rollout import Controller
@@ -57,10 +57,7 @@ def make_base(name: str, sensors: str = "encoder") -> Controller:
     Raises:
         ValueError: If there is none, naming the nearest one.
     """
-    if name not in BASES:
-        near = nearest(str(name), BASES)
-        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(BASES)}"
-        raise ValueError(f"no base controller {name!r}; {hint}")
+    require_known((name,), BASES, "no base controller {}")
     return (FELT if sensors == "accelerometer" and name in FELT else BASES)[name]()
 
 

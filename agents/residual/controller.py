@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.informed import InformedBase, InformedMemory
-from agents.residual.knowledge import KNOWLEDGE, Knowledge
-from agents.residual.limits import cut
+from agents.residual.knowledge import KNOWLEDGE, Knowledge, cut
+from baselines.guard.controller import GuardedController, Torques
+from baselines.guard.settings import GuardSettings
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.engine import compiled, inlined
@@ -33,7 +34,7 @@ class ResidualSettings:
 
     limit: float = 0.5  # largest residual, as a share of the torque limit
     hold: int = 4  # samples per residual: 6 ms
-    knowledge: Knowledge = "belief"  # what the agent is told besides the observation
+    knowledge: Knowledge = "belief"  # what the agent observes besides the observation
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -133,3 +134,27 @@ class ResidualController:
             policy = chosen(due, following, policy) if isinstance(policy, np.ndarray) else following
         action = combine(informed.action, residual, self.settings.limit)
         return action, ResidualMemory(informed, policy, residual, age + 1)
+
+
+class GuardedResidualController(GuardedController):
+    """Base and residual with the guard behind them.
+
+    Args:
+        controller: Base and residual.
+        servo: What to fall back to where the base plans, see `baselines.guard.controller.servo_for`.
+        settings: Of the guard.
+    """
+
+    def __init__(
+        self, controller: ResidualController, servo: Controller | None = None, settings: GuardSettings | None = None
+    ) -> None:
+        self._limit = controller.settings.limit
+        super().__init__(controller, servo, settings, self._limit)
+
+    def parts(self, action: Singles, memory: Any) -> Torques:
+        """Base, residual and what the observer makes of the arm."""
+        assert isinstance(memory, ResidualMemory) and memory.informed is not None
+        belief, base = memory.informed.belief, memory.informed.action[:, 0]
+        surprise = np.ones(len(action)) if belief is None else belief.tracks.surprise
+        residual = self._limit * memory.residual[:, 0].astype(np.float64)
+        return Torques(base.astype(np.float64), residual, surprise)

@@ -11,13 +11,13 @@ from agents.residual.knowledge import (
     ENTRIES,
     KNOWLEDGE,
     RECENT,
+    ExtraEntries,
     Filters,
     Knowledge,
-    Telling,
     filters_of,
-    note_unexplained,
-    tell_belief,
-    tell_torque,
+    push_unexplained,
+    write_belief,
+    write_torque,
 )
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.optimal.adaptive import tuned_identifier
@@ -58,11 +58,10 @@ class InformedBase:
         self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
         sheet = {name: getattr(self.params or ArmParams(), name) for name in DATA_SHEET}
         self._identifier = tuned_identifier(replace(design_model(), **sheet)) if knowledge == "belief" else None
-        entries = ENTRIES[knowledge]
-        self.telling = Telling(
+        self.entries = ExtraEntries(
             plant=(self.params or ArmParams()).plant(),
-            scales=np.array([entry.scale for entry in entries]),
-            bounds=np.array([entry.bound for entry in entries]),
+            scales=np.array([entry.scale for entry in ENTRIES[knowledge]]),
+            bounds=np.array([entry.bound for entry in ENTRIES[knowledge]]),
         )
 
     @property
@@ -103,13 +102,12 @@ class InformedBase:
         return final, InformedMemory(base, action, reading, belief, _unexplained(belief, memory, ended))
 
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
-        """Observation of the agent, shape (n, size + told), at the sample that `memory` has advanced to."""
+        """Observation of the agent, shape (n, size + entries), at the sample that `memory` has advanced to."""
         count, size = observation.shape
         result = np.empty((count, size + len(ENTRIES[self.knowledge])), np.float32)
         result[:, :size] = observation
-        _tell_torques(self.telling, memory.action, result[:, size:])
-        if memory.belief is not None and memory.reading is not None and memory.unexplained is not None:
-            _tell_beliefs(self.telling, memory.reading, filters_of(memory.belief), memory.unexplained, result[:, size:])
+        filters = None if memory.belief is None else filters_of(memory.belief)
+        _write_extra(self.entries, memory.action, memory.reading, filters, memory.unexplained, result[:, size:])
         return result
 
 
@@ -118,23 +116,26 @@ def _unexplained(belief: Belief, memory: InformedMemory | None, begins: Flags) -
     unexplained = np.zeros((len(begins), RECENT))
     if memory is not None and memory.unexplained is not None:
         unexplained[:] = memory.unexplained
-    _note_all(filters_of(belief), begins, unexplained)
+    _push_all(filters_of(belief), begins, unexplained)
     return unexplained
 
 
 @compiled
-def _note_all(filters: Filters, begins: Flags, unexplained: Floats) -> None:
+def _push_all(filters: Filters, begins: Flags, unexplained: Floats) -> None:
     for i in range(len(begins)):
-        note_unexplained(filters, i, begins[i], unexplained[i])
+        push_unexplained(filters, i, begins[i], unexplained[i])
 
 
 @compiled
-def _tell_torques(telling: Telling, actions: Singles, told: Singles) -> None:
-    for i in range(len(actions)):
-        tell_torque(telling, actions[i, 0], told[i])
-
-
-@compiled
-def _tell_beliefs(telling: Telling, reading: Reading, filters: Filters, unexplained: Floats, told: Singles) -> None:
-    for i in range(len(told)):
-        tell_belief(telling, sample_of(reading, i), filters, i, unexplained[i], told[i])
+def _write_extra(
+    entries: ExtraEntries,
+    actions: Singles,
+    reading: Reading | None,
+    filters: Filters | None,
+    unexplained: Floats | None,
+    extra: Singles,
+) -> None:
+    for i in range(len(extra)):
+        write_torque(entries, actions[i, 0], extra[i])
+        if reading is not None and filters is not None and unexplained is not None:
+            write_belief(entries, sample_of(reading, i), filters, i, unexplained[i], extra[i])

@@ -6,7 +6,7 @@ thousand weights does not infer them from a history of counts, so it gets the es
 drive, and how much of all that is in doubt. The filter sees the observation and nothing else, as the agent does.
 
 Torque ripple is left out, which the filter finds and the base compensates. What the filter could not explain of the
-last samples, and what was commanded in them, is told beside the belief: where its model of arm or noise is wrong, an
+last samples, and what was commanded in them, stands beside the belief: where its model of arm or noise is wrong, an
 agent with a memory can know better.
 
 Errors are scaled to order 1 at the precision wanted, not at the size that the base leaves: an input of order 0.01 is
@@ -22,7 +22,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from agents.residual.limits import cut
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS
 from baselines.estimation.identification import Belief
 from baselines.reading import Sample
@@ -67,7 +66,7 @@ _IDENTIFIED = LOGS.start  # of z: from here up to d, all constants but those of 
 _DOUBTED = 2  # of z: from here up to d
 _SURPRISE = Entry("surprise", "-", 1.0, 8.0)
 RECENT = 4
-"""Samples whose unexplained angles, and commands, the agent is told."""
+"""Samples whose unexplained angles, and commands, the agent observes."""
 _UNEXPLAINED = tuple(Entry(f"unexplained_angle_{k}", "rad", 0.0002, 0.01) for k in range(RECENT))
 _COMMANDS = tuple(Entry(f"command_{k}_before_last", "of limit", 1.0, 1.0) for k in range(1, RECENT))
 _PARTS = ((_BASE_TORQUE,), _STATE, _TIP, _CONSTANTS, _DOUBTS, (_SURPRISE,), _UNEXPLAINED, _COMMANDS)
@@ -84,13 +83,13 @@ _BASE_AT, _STATE_AT, _TIP_AT, _CONSTANTS_AT, _DOUBTS_AT, _SURPRISE_AT, _UNEXPLAI
 
 def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = "belief") -> spaces.Box:
     """Observation space of a residual agent."""
-    told = [entry.bound / entry.scale for entry in ENTRIES[knowledge]]
-    bounds = np.concatenate([layout.bounds(sensors), told]).astype(np.float32)
+    extra = [entry.bound / entry.scale for entry in ENTRIES[knowledge]]
+    bounds = np.concatenate([layout.bounds(sensors), extra]).astype(np.float32)
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
 class Filters(NamedTuple):
-    """Part of a `Belief` about m arms that the agent is told of."""
+    """Part of a `Belief` about m arms that the agent observes."""
 
     mean: Floats  # of z, shape (m, SIZE)
     covariance: Floats  # shape (m, SIZE, SIZE)
@@ -99,8 +98,8 @@ class Filters(NamedTuple):
     commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
 
 
-class Telling(NamedTuple):
-    """Constants of `tell_torque` and `tell_belief`."""
+class ExtraEntries(NamedTuple):
+    """Constants of `write_torque` and `write_belief`."""
 
     plant: Plant  # whose lengths the tip's errors follow from, and whose limit commands are scaled by
     scales: Floats  # of the entries
@@ -108,58 +107,67 @@ class Telling(NamedTuple):
 
 
 def filters_of(belief: Belief) -> Filters:
-    """Pick what the agent is told of."""
+    """Pick what the agent observes."""
     tracks = belief.tracks
     return Filters(tracks.mean, tracks.covariance, tracks.surprise, belief.angle, belief.commands)
 
 
 @inlined
-def _write(told: Singles, k: int, value: float, telling: Telling) -> None:
-    """Write an entry, bounded and scaled."""
-    told[k] = cut(value, telling.bounds[k]) / telling.scales[k]
+def cut(x: float, most: float) -> float:
+    """Number between -most and most that is nearest to x; what is no number stays none, so that it is noticed."""
+    above = -most if x < -most else x
+    return most if above > most else above
 
 
 @inlined
-def tell_torque(telling: Telling, action: float, told: Singles) -> None:
+def _write(extra: Singles, k: int, value: float, entries: ExtraEntries) -> None:
+    """Write an entry, bounded and scaled."""
+    extra[k] = cut(value, entries.bounds[k]) / entries.scales[k]
+
+
+@inlined
+def write_torque(entries: ExtraEntries, action: float, extra: Singles) -> None:
     """Write the first of the entries: the base's torque over the limit."""
-    _write(told, _BASE_AT, np.float64(action), telling)
+    _write(extra, _BASE_AT, np.float64(action), entries)
 
 
 @compiled
-def tell_belief(telling: Telling, now: Sample, filters: Filters, i: int, unexplained: Floats, told: Singles) -> None:
-    """Write what an agent with a belief is told besides, see `ENTRIES`.
+def write_belief(
+    entries: ExtraEntries, now: Sample, filters: Filters, i: int, unexplained: Floats, extra: Singles
+) -> None:
+    """Write the entries of a belief, see `ENTRIES`.
 
     Args:
-        telling: Constants.
+        entries: Constants.
         now: What is measured.
         filters: At this sample.
         i: Which of them is this arm's.
-        unexplained: From `note_unexplained`, shape (RECENT,).
-        told: Written, shape (entries,).
+        unexplained: From `push_unexplained`, shape (RECENT,).
+        extra: Written, shape (entries,).
     """
-    z, plant = filters.mean[i], telling.plant
+    z, plant = filters.mean[i], entries.plant
     x = ArmState(z[0], z[1], z[2], z[3])
     error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
     for k in range(_TIP_AT - _STATE_AT):
-        _write(told, _STATE_AT + k, z[1 + k], telling)
-    _write(told, _TIP_AT, error.x, telling)
-    _write(told, _TIP_AT + 1, error.y, telling)
-    _write(told, _TIP_AT + 2, error.x_speed, telling)
-    _write(told, _TIP_AT + 3, error.y_speed, telling)
+        _write(extra, _STATE_AT + k, z[1 + k], entries)
+    _write(extra, _TIP_AT, error.x, entries)
+    _write(extra, _TIP_AT + 1, error.y, entries)
+    _write(extra, _TIP_AT + 2, error.x_speed, entries)
+    _write(extra, _TIP_AT + 3, error.y_speed, entries)
     for k in range(_DOUBTS_AT - _CONSTANTS_AT):
-        _write(told, _CONSTANTS_AT + k, z[_IDENTIFIED + k], telling)
+        _write(extra, _CONSTANTS_AT + k, z[_IDENTIFIED + k], entries)
     for k in range(_SURPRISE_AT - _DOUBTS_AT):
         variance = filters.covariance[i, _DOUBTED + k, _DOUBTED + k]
-        _write(told, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), telling)
-    _write(told, _SURPRISE_AT, filters.surprise[i], telling)
+        _write(extra, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), entries)
+    _write(extra, _SURPRISE_AT, filters.surprise[i], entries)
     for k in range(RECENT):
-        _write(told, _UNEXPLAINED_AT + k, unexplained[k], telling)
+        _write(extra, _UNEXPLAINED_AT + k, unexplained[k], entries)
     for k in range(RECENT - 1):
-        _write(told, _COMMANDS_AT + k, filters.commands[i, 1 + k] / plant.torque_limit, telling)
+        _write(extra, _COMMANDS_AT + k, filters.commands[i, 1 + k] / plant.torque_limit, entries)
 
 
 @inlined
-def note_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats) -> None:
+def push_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats) -> None:
     """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
     for k in range(RECENT - 1, 0, -1):
         unexplained[k] = 0.0 if begins else unexplained[k - 1]

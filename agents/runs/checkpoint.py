@@ -1,7 +1,6 @@
 """Folder of a run, and checkpoints from which it resumes bit for bit.
 
-    config.json       every option, with which a resumed run goes on where it is told no others, what makes the run this
-                      one, and the software that writes it
+    config.json       every option, the defaults of a resumed run; what identifies the run; the software that writes it
     checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
                       and data), random generators, the run's progress; a SHA-256 of all that stands at its end
     validation.csv    the learning curve
@@ -37,11 +36,16 @@ from baselines.tools.provenance import software
 from baselines.tools.resuming import note_options
 from baselines.tools.schema import in_a_line, loads
 
-VERSION = 5
+VERSION = 6
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
-CHECKPOINT, CONFIG = Path("checkpoint.pkl"), Path("config.json")
-"""Within the folder of a run."""
+CHECKPOINT, CONFIG, COMMAND = Path("checkpoint.pkl"), Path("config.json"), Path("command.json")
+"""Within the folder of a run; that of several has the last, the options of their command."""
+_WRITTEN = (*map(str, (CHECKPOINT, CONFIG, COMMAND)), "validation.csv", "progress*.csv", "events.out.tfevents.*")
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
+_BEGUN_WITH = {
+    "base_hash": "other gains of the base",
+    **dict.fromkeys(("layout", "entries"), "another observation layout"),
+}
 
 
 def written_by() -> dict[str, Any]:
@@ -80,14 +84,14 @@ class RunFolder:
         except Timeout:
             raise ValueError(f"another run works in {self.folder}: wait for its end, or choose another --out") from None
 
-    def note(self, config: RunConfig, progress: dict[str, Any] | None = None) -> None:
-        """Write config.json and, of a run that is resumed and whose checkpoint has been read, the learning curve.
+    def note(self, config: RunConfig, curve: list[dict[str, Any]] | None = None) -> None:
+        """Write config.json and, of a run that is resumed, the learning curve of its checkpoint.
 
         A process that was killed may have left the curve of the checkpoint before.
         """
         note_options(self.config, config, identity=config.identity(), written_by=written_by())
-        if progress is not None:
-            self._write_curve(progress)
+        if curve is not None:
+            self._write_curve(curve)
 
     def check(self, config: RunConfig) -> None:
         """Check that the folder is free, holds the run to resume, or may be overwritten.
@@ -118,27 +122,24 @@ class RunFolder:
             raise FileNotFoundError(f"{self.folder} has no {CHECKPOINT} to go on from: choose another --out")
         try:
             before = loads(read_text(self.config))["identity"]
-            options = dict(before["options"])
+            options = {"algorithm": before["algorithm"], **before["options"]}
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{self.config} is damaged ({in_a_line(repr(error))}): choose another --out") from None
         now, run = json.loads(json.dumps(config.identity(), default=str)), f"the run in {self.folder}"
-        if before.get("algorithm") != now["algorithm"]:
-            known = in_a_line(before.get("algorithm"), 80)
-            raise ValueError(f"{run} is of {known}, not of {now['algorithm']}: take its script, or another --out")
-        for name, value in now["options"].items():
+        for name, value in {"algorithm": now["algorithm"], **now["options"]}.items():
             if options.get(name) != value:
-                known = f"--{name.replace('_', '-')} {in_a_line(options.get(name), 80)}"
+                option = f"--{name.replace('_', '-')}" if name in now["options"] else name
+                known = f"{option} {in_a_line(options.get(name), 80)}"
                 raise ValueError(f"{run} has {known}, not {value}: give the same options, or choose another --out")
-        for name in ("base_hash", "layout", "entries"):
+        for name, change in _BEGUN_WITH.items():
             if before.get(name) != now[name]:
-                known = "other gains of the base" if name == "base_hash" else "another observation layout"
-                raise ValueError(f"{run} began with {known}: {self._remedy()}")
+                raise ValueError(f"{run} began with {change}: {self._remedy()}")
 
     def _delete_run(self) -> None:
         """Delete the files that runs write, and nothing else."""
         for folder in filter(Path.exists, (self.best, self.last)):
             shutil.rmtree(folder)
-        for pattern in ("config.json", "checkpoint.pkl", "validation.csv", "progress*.csv", "events.out.tfevents.*"):
+        for pattern in _WRITTEN:
             for path in self.folder.glob(pattern):
                 path.unlink()
 
@@ -156,14 +157,14 @@ class RunFolder:
         }
         try:
             write_sealed(self.checkpoint, pickle.dumps(content, pickle.HIGHEST_PROTOCOL))
-            self._write_curve(progress)
+            self._write_curve(progress["curve"])
         except OSError as error:
-            kept = "the last good checkpoint stays, and --resume continues from it" if self.checkpoint.exists() else ""
-            message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
+            hint = "the last good checkpoint stays, and --resume continues from it" if self.checkpoint.exists() else ""
+            message = f"cannot save to {self.folder}: {error.strerror or error}; {hint or 'free some space'}"
             raise OSError(message) from None
 
-    def _write_curve(self, progress: dict[str, Any]) -> None:
-        write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
+    def _write_curve(self, curve: list[dict[str, Any]]) -> None:
+        write_text(self.curve, pandas.DataFrame(curve).to_csv(index=False))
 
     def load(self, restore: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Restore the last checkpoint: a new learner, by `restore`, and the generators. Return the run's progress.
@@ -185,8 +186,8 @@ class RunFolder:
                 restore_generator(state)
             return content["progress"]
         except Exception as error:  # whatever unpickling, and classes of another version, stumble over
-            words = in_a_line(f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}", 80)
-            raise ValueError(f"{self.checkpoint} does not fit this version ({words}): {self._remedy()}") from error
+            reason = in_a_line(f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}", 80)
+            raise ValueError(f"{self.checkpoint} does not fit this version ({reason}): {self._remedy()}") from error
 
     def _remedy(self) -> str:
         """Advice that keeps the run, which this version does not go on with."""

@@ -17,10 +17,9 @@ from typing import Any
 
 from rich.console import Console
 
-from agents.runs.checkpoint import CHECKPOINT, CONFIG, RunFolder
-from agents.runs.monitor import Maker, News
+from agents.runs.checkpoint import CHECKPOINT, COMMAND, CONFIG, RunFolder
 from agents.runs.settings import RunConfig
-from agents.runs.training import train
+from agents.runs.training import News, train
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import Workplace
 from baselines.tools.command import one_line_errors, resume_command, this_python
@@ -30,24 +29,15 @@ from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
 from baselines.tools.resuming import note_options, noted_options
 
-COMMAND = "command.json"
-"""Options of the command that begins several runs, or one elsewhere, in the folder of all of them."""
 
-
-def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
-    """Run a training script.
-
-    Args:
-        kind: The script's options, a `RunConfig`.
-        make_learner: Makes the script's learner.
-        description: What `--help` says.
-    """
+def main(kind: type[RunConfig], description: str | None) -> None:
+    """Run a training script with its options, and what `--help` says of it."""
     script = f"train/{kind.algorithm}.py"
     with one_line_errors(script):
-        config: RunConfig = parse(kind, description, begun=begun_options)
+        config = parse(kind, description, begun=begun_options)
         try:
             config.check()
-            _run(config, make_learner, Console())
+            _run(config, Console())
         except Interrupted as interruption:
             print(f"{interruption}; to continue:\n  {resume_command(script)}")
             sys.exit(130)
@@ -64,11 +54,11 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
     """
     if not config.resume:
         return {}
-    told, one_of_several = ("out", "resume", "overwrite"), ("seed", "seeds")
+    own = ("out", "resume", "overwrite")
     for path, but in (
-        (config.out / COMMAND, told),
-        (config.out / CONFIG, told),
-        (config.out / f"seed{config.seed}" / CONFIG, (*told, *one_of_several)),
+        (config.out / COMMAND, own),
+        (config.out / CONFIG, own),
+        (config.out / f"seed{config.seed}" / CONFIG, (*own, "seed", "seeds")),
     ):
         if options := noted_options(path, *but):
             return options
@@ -105,7 +95,7 @@ def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:
     return runs
 
 
-def _run(config: RunConfig, make_learner: Maker, console: Console) -> None:
+def _run(config: RunConfig, console: Console) -> None:
     """Run all trainings; one in this process, several in their own, where one that fails leaves the others alone."""
     alone, stop, failed = config.seeds == 1 and config.engine == "local", StopRequest(), list[str]()
     if not config.resume:
@@ -118,12 +108,9 @@ def _run(config: RunConfig, make_learner: Maker, console: Console) -> None:
             for run in runs.values():
                 with RunFolder(run.out).locked(run):
                     pass
-        if not alone:
-            note_options(config.out / COMMAND, config)
-        elif not config.resume and (config.out / COMMAND).exists():  # of several runs, which would be resumed instead
-            (config.out / COMMAND).unlink()
+        note_options(config.out / COMMAND, config)
         tasks = {
-            name: workplace.task(name, run.out, partial(run_in, _local(run), make_learner, command_line()), CHECKPOINT)
+            name: workplace.task(name, run.out, partial(run_in, run, command_line()), CHECKPOINT)
             for name, run in runs.items()
         }
         asked = partial(console.print, "stopping after this update; press Ctrl-C again to stop at once")
@@ -151,22 +138,16 @@ def _run(config: RunConfig, make_learner: Maker, console: Console) -> None:
 
 def compare_command(policies: Sequence[Path]) -> str:
     """Command that compares policies with the project's methods, where they may be chosen: not on the test set."""
-    words = [word for policy in policies for word in ("--policy", str(policy))]
-    words += ["--scenarios", "development", "--out", "results/development"]
-    return f"{this_python()} {shlex.join(['eval/compare.py', *words])}"
+    arguments = [word for policy in policies for word in ("--policy", str(policy))]
+    arguments += ["--scenarios", "development", "--out", "results/development"]
+    return f"{this_python()} {shlex.join(['eval/compare.py', *arguments])}"
 
 
-def _local(run: RunConfig) -> RunConfig:
-    """Options of a run in its own process, where it neither deletes itself nor begins others."""
-    return replace(run, overwrite=False, jobs=None, engine="local", address=None, storage=None)
-
-
-def run_in(config: RunConfig, make_learner: Maker, command: str, folder: Path, channel: Channel) -> News:
+def run_in(config: RunConfig, command: str, folder: Path, channel: Channel) -> News:
     """Train in a folder, as a task: begun again after its process died, it goes on from its checkpoint.
 
     Args:
         config: Options.
-        make_learner: Makes the untrained learner.
         command: What the run was started with.
         folder: Where to work.
         channel: Gets `News`.
@@ -178,5 +159,6 @@ def run_in(config: RunConfig, make_learner: Maker, command: str, folder: Path, c
         Interrupted, ValueError, OSError: As `train` does.
     """
     resume = config.resume or RunFolder(folder).checkpoint.exists()
-    monitor = train(replace(config, resume=resume), make_learner, channel, command, folder)
+    own = replace(config, resume=resume, overwrite=False, jobs=None, engine="local", address=None, storage=None)
+    monitor = train(own, channel, command, folder)
     return News(monitor.curve[-1][0], monitor.progress["scores"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 
@@ -14,9 +14,14 @@ from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
 from baselines.engines.options import WithStorage
+from baselines.tools.command import require_bounds
 from baselines.tools.options import Groups
+from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT, Sensors
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
+
+if TYPE_CHECKING:
+    from agents.runs.training import Learner
 
 MAY_CHANGE = (
     *("out", "seeds", "jobs", "engine", "address", "storage", "threads", "device", "resume", "overwrite"),
@@ -78,6 +83,10 @@ class RunConfig(WithStorage):
     overwrite: bool = False
     """Delete the run in --out and start again."""
 
+    def make_learner(self) -> Learner:
+        """Make an untrained learner."""
+        raise NotImplementedError
+
     @property
     def length(self) -> int:
         """Agent steps of the whole run."""
@@ -103,26 +112,21 @@ class RunConfig(WithStorage):
         Raises:
             ValueError: Naming the option, its value and what is allowed.
         """
-        self.at_least(1, "arms", "validation_arms", "threads", "seeds")
+        require_bounds(self, arms=(1, SEED_SPACING), validation_arms=(1, None), threads=(1, None), seeds=(1, None))
         self.check_engine()
         self.positive("learning_rate")
         if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_TRAINING_SEED:
             raise ValueError(
                 f"--seed must lie within 0 and {MAX_TRAINING_SEED}, with --seeds more too, got {self.seed}"
             )
-        if self.arms > SEED_SPACING:
-            raise ValueError(f"--arms must be at most {SEED_SPACING}, got {self.arms}")
         if self.resume and self.overwrite:
             raise ValueError("--resume continues a run and --overwrite deletes it: give only one of them")
         make_base(self.base)
         self.spec().shape()
-        _check_device(self.device)
-
-    def at_least(self, least: float, *names: str) -> None:
-        """Raise ValueError unless these options are at least `least`."""
-        for name in names:
-            if not getattr(self, name) >= least:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
+        try:
+            torch.empty(0, device=self.device).cpu()
+        except (RuntimeError, AssertionError) as error:  # the latter where PyTorch was built without CUDA
+            raise ValueError(f"--device {self.device} is not there ({in_a_line(error)}): use --device cpu") from None
 
     def positive(self, *names: str) -> None:
         """Raise ValueError unless these options are finite and above 0."""
@@ -147,17 +151,3 @@ class RunConfig(WithStorage):
             "layout": LAYOUT,
             "entries": self.spec().entries(),
         }
-
-
-def _check_device(name: str) -> None:
-    """Raise ValueError unless PyTorch can compute there."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise ValueError(f"--device must be cpu, cuda or cuda:NUMBER, got {name!r}") from None
-    if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"--device must be cpu, cuda or cuda:NUMBER, got {name!r}")
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise ValueError(f"--device {name}: PyTorch finds no CUDA GPU on this machine; use --device cpu")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise ValueError(f"--device {name}: this machine has {torch.cuda.device_count()} GPU(s), numbered from 0")

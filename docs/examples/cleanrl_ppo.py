@@ -35,7 +35,7 @@ from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualVecEnv
 from agents.runs.command_line import compare_command
-from agents.runs.monitor import validate
+from agents.runs.training import validate
 from baselines.tools.provenance import command_line, software
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms

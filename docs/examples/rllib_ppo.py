@@ -27,7 +27,7 @@ import beltarm_env  # noqa: F401  registers BeltArm-v0
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualEnv
-from agents.runs.monitor import validate
+from agents.runs.training import validate
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
 
 SETTINGS = ResidualSettings(limit=1.0, hold=4)

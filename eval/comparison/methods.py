@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.policy.bundle import POLICIES, POLICY_FILE, bundle_files, read_spec
+from agents.policy.bundle import POLICIES, POLICY_FILE, are_alike, load_controller, read_bundle, read_spec
 from agents.policy.description import BundleSpec
-from agents.policy.together import are_alike, load_together
-from agents.residual.guarded import GuardedResidualController
+from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.engines.carrying import Carried, carry
 from baselines.gains import read_file
@@ -60,7 +59,7 @@ class Method:
     def batches(self, episodes: int) -> list[range]:
         """Training seeds that run in one batch each: those of alike policies, as long as a batch stays small."""
         seeds = range(len(self.sources))
-        alike = len(seeds) > 1 and are_alike([Path(source) for source in self.sources])
+        alike = len(seeds) > 1 and are_alike(self.sources)
         together = max(1, LARGEST_BATCH // episodes) if alike else 1
         return [seeds[k : k + together] for k in seeds[::together]]
 
@@ -80,8 +79,8 @@ class Method:
         if self.kind == "privileged":
             return PrivilegedController(arms)
         if self.kind == "learned":
-            controller, spec = load_together([Path(self.sources[seed]) for seed in seeds])
-            return GuardedResidualController(controller, servo_for(spec.base)) if self.guarded else controller
+            controller = load_controller(*(self.sources[seed] for seed in seeds))
+            return GuardedResidualController(controller, servo_for(self.base or "")) if self.guarded else controller
         if self.kind == "added":
             return custom.make(source)
         return guarded(source) if self.guarded else CONTROLLERS[source]()
@@ -93,7 +92,7 @@ class Method:
             ValueError: If a user's own folder is too large to be carried.
         """
         if self.kind == "learned":
-            return {path: Carried(Path(path), tuple(bundle_files(Path(path)).items())) for path in self.sources}
+            return {path: Carried(Path(path), ((POLICY_FILE, read_bundle(path).data),)) for path in self.sources}
         if self.kind != "added" or not self.sources[0].rpartition(":")[0].endswith(".py"):
             return {}
         folder = custom.home(self.sources[0])

@@ -18,7 +18,7 @@ import tyro
 import yaml
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.bundle import CARD, POLICY_FILE, bundle_files, load_controller, read_spec
+from agents.policy.bundle import CARD, POLICY_FILE, load_controller, read_bundle, read_spec
 from agents.policy.card import ENVIRONMENT, Offer, card, model_name
 from agents.runs.command_line import compare_command
 from beltarm_env.rollout import rollout
@@ -110,7 +110,7 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     """
     from huggingface_hub import ModelCard
 
-    _, content = read_spec(options.policy)
+    _, _, content, data = read_bundle(options.policy)
     about = ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")
     config = {
         "format": FORMAT,
@@ -129,7 +129,7 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     }
     if scores:
         texts[EXCERPT] = json.dumps(scores.excerpt(), indent=2, allow_nan=False) + "\n"
-    files = {**{name: text.encode() for name, text in texts.items()}, **bundle_files(options.policy)}
+    files = {**{name: text.encode() for name, text in texts.items()}, POLICY_FILE: data}
     if options.onnx:
         from agents.policy.onnx_model import onnx_model
 

@@ -21,8 +21,7 @@ import numpy as np
 
 from agents.policy.correction import correct
 from agents.residual.controller import combined
-from agents.residual.knowledge import Filters
-from agents.residual.limits import cut
+from agents.residual.knowledge import Filters, cut
 from baselines.estimation.identify import identify
 from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
 from baselines.reading import Sample, sample_from

@@ -16,7 +16,7 @@ import tyro
 
 from agents.policy.bundle import POLICY_FILE, load_controller, read_spec
 from agents.policy.correction import correction
-from agents.residual.guarded import GuardedResidualController
+from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE

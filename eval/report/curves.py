@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from agents.policy.bundle import POLICY_FILE, BundleError, read_spec
 from agents.runs.checkpoint import RunFolder
-from agents.runs.monitor import validate
+from agents.runs.training import validate
 from baselines import CONTROLLERS
 from beltarm_env.arrays import Floats
 from eval.report.style import COLOURS, mark_one_two_five

@@ -183,8 +183,7 @@ def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from agents.learners.ppo import PpoConfig, make_model
-    from agents.learners.reinforcement import make_env
+    from agents.learners.ppo import PpoConfig
 
     config = config or PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
     count, samples = min(_SINGLE_ARMS, config.arms), config.arms * config.rollout_steps
@@ -193,7 +192,7 @@ def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row
         arm = gym.make("BeltArm-v0", sensors=config.sensors, randomization="train")
         return ResidualEnv(arm, make_base(config.base), config.residual)
 
-    batch, single_arms = make_env(config), DummyVecEnv([single_arm] * count)
+    batch, single_arms = config.make_env(), DummyVecEnv([single_arm] * count)
     for env in (batch, single_arms):
         env.seed(training_arms(config.seed).first)
     alone = PPO("MlpPolicy", single_arms, **replace(config, rollout_steps=samples // count).arguments())
@@ -202,7 +201,7 @@ def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row
     def learned(model: PPO) -> Work:
         return samples * config.hold, partial(model.learn, samples, reset_num_timesteps=False)
 
-    runs = {f"PPO, rollout and update, {config.arms} arms": learned(make_model(config, batch))}
+    runs = {f"PPO, rollout and update, {config.arms} arms": learned(config.make_model(batch))}
     peer = f"PPO on {_SINGLE_ARMS} single arms in a DummyVecEnv"
     return beside(peer, learned(alone), runs, min(repetitions, _MOST_TRAININGS))
 

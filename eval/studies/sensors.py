@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
+from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, load_controller, read_spec
 from agents.residual.controller import ResidualMemory
 from baselines.registry import CONTROLLERS, FELT
 from baselines.tools.progress import progress_over
@@ -93,7 +93,7 @@ def measure(options: Options) -> dict[str, Any]:
 
 def student_folder(tier: Tier) -> Any:
     """Folder of the student's policy that has a set of sensors."""
-    return (POLICIES if tier == "encoder" else FELT_POLICIES) / STUDENT / "seed0"
+    return (POLICIES if tier == "encoder" else ACCELEROMETER_POLICIES) / STUDENT / "seed0"
 
 
 def controller(name: str, tier: Tier) -> Controller:

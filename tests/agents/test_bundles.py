@@ -20,13 +20,13 @@ from refusals import refused
 from safetensors.numpy import save
 
 from agents.policy.bundle import (
+    ACCELEROMETER_POLICIES,
     CARD,
-    FELT_POLICIES,
     POLICIES,
     POLICY_FILE,
     load_controller,
+    read_bundle,
     read_spec,
-    read_weights,
     save_bundle,
 )
 from agents.policy.card import Offer, card
@@ -53,7 +53,7 @@ SPECS = {
     "lstm": BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
     "gru": BundleSpec("student", "adaptive", SETTINGS, (8,), "relu", gru=10, standardised=True),
 }
-SHIPPED = sorted(path.parent for root in (POLICIES, FELT_POLICIES) for path in root.glob(f"*/*/{POLICY_FILE}"))
+SHIPPED = sorted(path.parent for root in (POLICIES, ACCELEROMETER_POLICIES) for path in root.glob(f"*/*/{POLICY_FILE}"))
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ class TestSaved:
     def test_bundle_gives_the_same_policy_bit_for_bit(self, tmp_path: Path, name: str):
         spec = SPECS[name]
         save_bundle(tmp_path, spec, new_weights(spec, 0))
-        read, described, _ = read_weights(tmp_path)
+        read, described, *_ = read_bundle(tmp_path)
         assert described == spec
         assert {name: value.tobytes() for name, value in read.arrays.items()} == {
             name: value.tobytes() for name, value in new_weights(spec, 0).arrays.items()
@@ -99,7 +99,7 @@ class TestSaved:
             save_bundle(tmp_path / "d", changed, new_weights(spec, int(changed == spec)))
             found.append(sha256(tmp_path / "d"))
         assert len({*found}) == 4 and len(list((tmp_path / "d").iterdir())) == 2
-        kept = read_weights(tmp_path / "d")[0].arrays
+        kept = read_bundle(tmp_path / "d")[0].arrays
         assert all(np.array_equal(kept[name], value) for name, value in new_weights(spec, 1).arrays.items())
 
     def test_a_policy_is_given_its_entries_by_name(self, tmp_path: Path):

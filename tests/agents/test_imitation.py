@@ -16,17 +16,17 @@ from properties import examples
 from trainings import StopAfter, run, tiny, weights
 
 import agents.learners.student
-import agents.runs.monitor
+import agents.runs.training
 from agents.learners import teaching
 from agents.learners.registry import ALGORITHMS
-from agents.learners.rma import InformedActor, Memory, Rma, merged, told_constants
+from agents.learners.rma import Memory, PrivilegedActor, Rma, merged, scaled_constants
 from agents.learners.student import Student, StudentConfig
-from agents.learners.teaching import Advice, ask, best_changes
+from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController, ResidualSettings
-from agents.runs.monitor import News
+from agents.runs.training import News
 from baselines import CONTROLLERS
 from baselines.engines.parallel import Interrupted
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
@@ -60,10 +60,6 @@ class Constant:
 
 def trial(controller: Controller) -> Recording:
     return rollout(controller, ARMS, seed=SEED, randomization="train")
-
-
-def student(residual: float, **settings: Any) -> ResidualController:
-    return ResidualController(CONTROLLERS["preview"](), Constant(residual), ResidualSettings(**settings))
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +146,10 @@ def test_the_advice_is_to_stay_where_the_motor_sticks(recording: Recording):
 
 @pytest.mark.parametrize(("residual", "hold"), [(0.0, 1), (0.2, 7)])
 def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float, hold: int):
-    advice, own = ask(trial, student(residual, limit=0.2, hold=hold))
+    settings = ResidualSettings(limit=0.2, hold=hold)
+    recorder = Recorder(Constant(residual))
+    own = trial(ResidualController(CONTROLLERS["preview"](), recorder, settings))
+    advice = advise(own, recorder, settings)
     changes, curvatures = best_changes(own)
     assert advice.inputs.shape == (-(-EPISODE_STEPS // hold), ARMS, StudentConfig().spec().shape().inputs)
     for k, start in enumerate(range(0, EPISODE_STEPS, hold)):
@@ -172,7 +171,7 @@ class TestFit:
         config = tiny("student", Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
         learner = Student(config)
         learner.advice = [advice]
-        learner._fit(lambda _: None)
+        learner.fit()
         return learner
 
     def test_equal_inputs_get_the_weighted_mean(self):
@@ -209,43 +208,43 @@ def table(arms: int = 400) -> np.ndarray[Any, Any]:
     return env.params_table
 
 
-def test_all_that_varies_is_told():
-    """Every constant of the training ranges, and none of the others, changes what is told; a full turn does not."""
+def test_the_privileged_policy_knows_all_that_varies():
+    """Every constant of the training ranges, and none of the others, changes its input; a full turn does not."""
     rows = table(1)
     for name in FIELDS:
         other = rows.copy()
         column = getattr(COLUMN, name)
         other[:, column] = 0.9 * other[:, column] + 0.01
-        assert (told_constants(other) != told_constants(rows)).any() == (name in TRAIN_RANGES), name
+        assert (scaled_constants(other) != scaled_constants(rows)).any() == (name in TRAIN_RANGES), name
         if name.endswith("_phase"):
             other[:, column] = rows[:, column] + 2 * np.pi
-            np.testing.assert_allclose(told_constants(other), told_constants(rows), atol=1e-6)
+            np.testing.assert_allclose(scaled_constants(other), scaled_constants(rows), atol=1e-6)
 
 
-def test_a_round_is_told_the_very_arms_that_are_moved(tmp_path: Path):
+def test_the_privileged_policy_knows_the_very_arms_that_are_moved(tmp_path: Path):
     learner = Rma(tiny("rma", tmp_path))
     actual: list[Any] = []
-    reported = learner._ask
+    original = learner.move
 
-    def noted(policy: Any, pause: Any) -> Any:
-        advice, own = reported(policy, pause)
-        actual.extend((policy._constants, told_constants(own.params)))
-        return advice, own
+    def move(policy: Any) -> Any:
+        recording, recorder = original(policy)
+        actual.extend((policy._constants, scaled_constants(recording.params)))
+        return recording, recorder
 
-    learner._ask = noted
-    learner._asked(lambda _: None)  # pyright: ignore[reportArgumentType]
+    learner.move = move
+    learner.ask()
     np.testing.assert_array_equal(*actual)
 
 
 def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
-    informed = shaken(InformedActor(SHAPE, CONSTANTS, LATENT))
+    privileged = shaken(PrivilegedActor(SHAPE, CONSTANTS, LATENT))
     memory = shaken(Memory(SHAPE, LATENT))
-    memory.mean, memory.deviation = informed.mean[:5], informed.deviation[:5]
-    actor = merged(informed, memory, SHAPE)
+    memory.mean, memory.deviation = privileged.mean[:5], privileged.deviation[:5]
+    actor = merged(privileged, memory, SHAPE)
     inputs = 2 * torch.randn(40, 6, 5, generator=torch.Generator().manual_seed(1))
     guess = memory(inputs)
     observed = ((inputs - memory.mean) / memory.deviation).clamp(-5, 5)
-    expected = informed.policy(torch.cat([observed, guess], dim=-1))
+    expected = privileged.policy(torch.cat([observed, guess], dim=-1))
     assert expected.std() > 0.1 and guess.std() > 0.1
     np.testing.assert_allclose(actor(inputs).numpy(), expected.numpy(), atol=2e-5)
     policy, state, residuals = NetworkPolicy(actor.weights()), None, []
@@ -277,8 +276,9 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[str, Path, list[i
     """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
     name, folder, _ = whole
     config = tiny(name, tmp_path)
-    first_round = EPISODE_STEPS + config.arms + config.epochs * config.arms // config.batch_size
-    moments = {"student": (700, EPISODE_STEPS + 2, first_round - 1, first_round + 400), "rma": (700, 1800, 1208)}
+    holds = EPISODE_STEPS // config.hold
+    first_round = holds + config.arms + config.epochs * config.arms // config.batch_size
+    moments = {"student": (17, holds + 2, first_round - 1, first_round + 10), "rma": (17, 53, 38, 52, holds + 2)}
     for number, looks in enumerate(moments[name]):
         with pytest.raises(Interrupted, match=r"interrupted at \d+ steps"):
             run(replace(config, resume=number > 0), StopAfter(looks))
@@ -295,7 +295,7 @@ def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[str, Path, list[int]
     trained = load_controller(folder / "last")
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.base, spec.gru) == (name, "paper", 6)
-    scores = agents.runs.monitor.validate(trained, 2)
+    scores = agents.runs.training.validate(trained, 2)
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
     (curve,) = find_curves([folder])
     assert curve.method == f"{name} on paper"
@@ -320,8 +320,8 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
 @pytest.mark.parametrize("name", KINDS)
 def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
-    config: Any = ALGORITHMS[name].config(out=tmp_path)
-    policy = NetworkPolicy(ALGORITHMS[name].make_learner(config).actor().weights())
+    config: Any = ALGORITHMS[name](out=tmp_path)
+    policy = NetworkPolicy(config.make_learner().actor().weights())
     untrained = ResidualController(CONTROLLERS["adaptive"](), policy, config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 

@@ -14,18 +14,18 @@ import torch
 from commands import stopped
 from optuna.trial import TrialState
 from refusals import refused
-from trainings import MODULES, NAMES, StopAfter, in_memory, run, tiny
+from trainings import NAMES, StopAfter, in_memory, run, tiny
 
-import agents.runs.monitor
+import agents.runs.training
 from agents.learners import tuning
 from agents.learners.registry import ALGORITHMS
-from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, begin, counted, open_study, run_trials, training_command, tune
 from agents.policy.actor import actor_of
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
-from agents.runs.monitor import News
+from agents.runs.training import News
 from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.tuning.study import ask, own
@@ -38,9 +38,9 @@ from train.tune import main
 @pytest.mark.parametrize("name", NAMES)
 def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
     config = tiny(name, tmp_path)
-    env = make_env(config)
+    env = config.make_env()
     env.seed(0)
-    model = MODULES[name].make_model(config, env)
+    model = config.make_model(env)
     seen, residuals = env.reset(), []
     assert np.abs(model.predict(seen, deterministic=True)[0]).max() < 0.1, "untrained, it is nearly its base"
     with torch.no_grad():
@@ -69,7 +69,7 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     spec, _ = read_spec(tmp_path / "last")
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
     assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
-    validated = agents.runs.monitor.validate(controller, 4)
+    validated = agents.runs.training.validate(controller, 4)
     assert validated == spec.provenance["reached"]["validation"]
     card = (tmp_path / "last" / "README.md").read_text()
     for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
@@ -81,7 +81,7 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
 def test_what_leaving_costs(tmp_path: Path):
     """Cut: for PPO to the highest cost of three holds, off-policy to the highest cost for ever."""
     for name, holds in (("ppo", 3), ("sac", 1 / (1 - 0.9))):
-        env = make_env(tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none"))
+        env = tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none").make_env()
         env.seed(0)
         env.reset()
         worst = -min(env.step(np.ones((8, 1), np.float32))[1].min() for _ in range(20))
@@ -91,7 +91,7 @@ def test_what_leaving_costs(tmp_path: Path):
 def test_arms_are_seeded_as_documented(tmp_path: Path):
     config = tiny("ppo", tmp_path, seed=2, total_steps=64)
     monitor = run(config)
-    env = make_env(config)
+    env = config.make_env()
     env.seed(training_arms(2).first)
     env.reset()
     assert isinstance(monitor.learner, ModelLearner)
@@ -105,7 +105,7 @@ def test_arms_are_seeded_as_documented(tmp_path: Path):
 def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
     """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
     config = tiny(algorithm, tmp_path)
-    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
+    schedule = config.make_learner().model.lr_schedule
     assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
 
 
@@ -130,8 +130,8 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("student", {"gru_width": -1}, "--gru-width"),
     ("student", {"huber": 0.0}, "--huber"),
     ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),
-    ("rma", {"told": 0.0}, "--told .* 0.0"),
-    ("rma", {"told": 0.9}, "--rounds .*--told 0.9"),
+    ("rma", {"privileged_share": 0.0}, "--privileged-share .* 0.0"),
+    ("rma", {"privileged_share": 0.9}, "--rounds .*--privileged-share 0.9"),
     ("rma", {"latent": 0}, "--latent"),
     ("rma", {"gru_width": 0}, "--gru-width"),
 ]
@@ -176,7 +176,7 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixt
     assert len(counted(study)) == 2 and len(first.intermediate_values) > 5
     files = {path.name for path in tmp_path.iterdir()}
     assert files == {"sac.csv", "sac.journal", "sac.journal.owner", "sac.json"}, "runs of trials are not kept"
-    assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
+    assert min(pd.read_csv(config.file("csv"))["value"].tolist()) == pytest.approx(study.best_value)
     words = training_command(config, study).split()
     assert words[1] == "train/sac.py" == capsys.readouterr().out.split("\n  ")[1].split()[1]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
@@ -202,7 +202,7 @@ def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path:
     assert not left.exists()
 
 
-def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> None:
+def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
     """Stand for a training: its costs follow from settings and seed alone."""
     for steps in range(5):
         if channel.stop.made:

@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from episodes import memory_after
 from refusals import refused
 
 from agents.observer import files
 from agents.observer import run as running
 from agents.observer.episodes import Episodes
 from agents.observer.files import ObserverError, load_observer, save_observer
-from agents.observer.fitting import fit, standardise
 from agents.observer.network import MAX_WIDTH, Observer, offered
 from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
-from agents.observer.run import ObserverConfig
-from agents.observer.watching import WatchedController, WatchedMemory
+from agents.observer.run import ObserverConfig, fit, standardise
+from agents.residual.informed import InformedBase
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
@@ -76,20 +74,16 @@ class TestTruth:
         assert stiffer["belt_stiffness"] == pytest.approx(math.log(40.0 / design_model().belt_stiffness), abs=1e-12)
 
 
-class TestWatching:
-    def test_torques_are_those_of_the_controller_alone(self):
-        alone = rollout(AdaptiveController(), 3, seed=VALIDATION.first, randomization="train")
-        watched = rollout(
-            WatchedController(AdaptiveController(), Observer()), 3, seed=VALIDATION.first, randomization="train"
-        )
-        assert np.array_equal(alone.torque, watched.torque)
-
+class TestEstimates:
     def test_an_untrained_observer_is_the_filter(self):
-        memory = self.after(WatchedController(AdaptiveController(), untrained()), 41)
-        belief = AdaptiveController().belief(memory.informed.base)
-        assert np.allclose(memory.estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
-        assert np.allclose(memory.estimate.mean[:, 6:], belief.logs, rtol=1e-4, atol=1e-6)
-        assert np.array_equal(memory.estimate.deviation, np.ones((2, len(NAMES))))
+        informed = InformedBase(AdaptiveController())
+        observation, _ = BeltArmVectorEnv(2, randomization="train").reset(seed=VALIDATION.first)
+        memory = informed.advance(observation, None, None)
+        estimate, _ = untrained().observe(informed.seen(observation, memory))
+        belief = AdaptiveController().belief(memory.base)
+        assert np.allclose(estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
+        assert np.allclose(estimate.mean[:, 6:], belief.logs, rtol=1e-4, atol=1e-6)
+        assert np.array_equal(estimate.deviation, np.ones((2, len(NAMES))))
 
     def test_sample_by_sample_is_what_was_fitted(self):
         observer = Observer(width=8)
@@ -103,28 +97,17 @@ class TestWatching:
             assert np.allclose(estimate.mean, mean[k], rtol=1e-5, atol=1e-6)
             assert np.allclose(estimate.deviation, deviation[k], rtol=1e-5, atol=1e-6)
 
-    def test_estimates_are_held(self):
-        observer = Observer(hold=4)
-        at = [
-            self.after(WatchedController(AdaptiveController(), observer), steps).estimate.mean for steps in (37, 38, 41)
-        ]
-        assert np.array_equal(at[0], at[1]) and not np.array_equal(at[0], at[2])
-
     @pytest.mark.parametrize("knowledge", ["belief", "none"])
     def test_an_arm_that_begins_anew_is_forgotten_and_others_are_not(self, knowledge: Any):
-        watched, start = WatchedController(AdaptiveController(), Observer(knowledge)), np.array([False, True])
-        observation, _ = BeltArmVectorEnv(2, randomization="train").reset(seed=VALIDATION.first)
-        memory = self.after(watched, 6)
-        _, through = watched.predict(observation, memory, start)
-        _, fresh = watched.predict(observation)
-        for ours, theirs in ((through.observer, fresh.observer), (through.estimate.mean, fresh.estimate.mean)):
+        observer, start = Observer(knowledge), np.array([False, True])
+        seen = np.random.default_rng(0).standard_normal((2, 2, len(offered(knowledge)))).astype(np.float32)
+        _, memory = observer.observe(seen[0])
+        on, fresh = observer.observe(seen[1], memory), observer.observe(seen[1])
+        through = observer.observe(seen[1], memory, start)
+        for ours, theirs, other in zip(*((e.mean, e.deviation, m) for e, m in (through, fresh, on)), strict=True):
+            assert np.allclose(ours[0], other[0], rtol=1e-5, atol=1e-7)
             assert np.allclose(ours[1], theirs[1], rtol=1e-5, atol=1e-7)
-        assert np.array_equal(through.observer[0], memory.observer[0])  # of which none was due
-        assert through.age.tolist() == [7, 1]
-
-    @staticmethod
-    def after(watched: WatchedController, steps: int) -> WatchedMemory:
-        return memory_after(watched, BeltArmVectorEnv(2, randomization="train"), steps, seed=VALIDATION.first)
+            assert not np.allclose(other[1], theirs[1], rtol=1e-3)
 
 
 class TestFit:

@@ -24,7 +24,7 @@ from refusals import refused
 from torch import nn
 
 from agents.policy.actor import Actor, actor_of
-from agents.policy.bundle import FELT_POLICIES, POLICIES, POLICY_FILE, load_controller, read_spec, save_bundle
+from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, POLICY_FILE, load_controller, read_spec, save_bundle
 from agents.policy.description import BundleError
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
@@ -203,7 +203,7 @@ def test_inputs_are_picked_in_the_policys_own_order():
 
 @pytest.mark.parametrize(
     "folder",
-    sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
+    sorted(path for root in (POLICIES, ACCELEROMETER_POLICIES) for path in root.glob("*/seed0")),
     ids=lambda p: p.parts[-3] + p.parts[-2],
 )
 def test_shipped_policies_drive_an_arm_the_same_way_alone_and_in_batches(folder: Path):

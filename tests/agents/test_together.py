@@ -11,10 +11,9 @@ import pytest
 from bundles import new_weights
 from refusals import refused
 
-from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec, save_bundle
+from agents.policy.bundle import POLICIES, BundleSpec, are_alike, load_controller, read_spec, save_bundle
 from agents.policy.correction import correct, correction
 from agents.policy.network import NetworkPolicy
-from agents.policy.together import are_alike, load_together
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combined
 from agents.residual.knowledge import filters_of
@@ -47,7 +46,7 @@ def folders(name: str, seeds: int) -> list[Path]:
 @pytest.mark.parametrize("name", ["ppo", "student"])
 def test_each_has_its_own_rows_and_memory(name: str):
     """Also where some rows begin an episode and others go on."""
-    several = load_together(folders(name, 3))[0].policy
+    several = load_controller(*folders(name, 3)).policy
     alone = [load_controller(folder).policy for folder in folders(name, 3)]
     rng = np.random.default_rng(0)
     inputs = len(read_spec(folders(name, 1)[0])[0].offered())
@@ -65,7 +64,7 @@ def test_each_has_its_own_rows_and_memory(name: str):
 
 
 def test_rows_that_cannot_be_shared_are_refused():
-    several = load_together(folders("ppo", 2))[0].policy
+    several = load_controller(*folders("ppo", 2)).policy
     refused(
         ValueError, ("2 policies", "got 3", "multiple of 2"), lambda: several.predict(np.zeros((3, 25), np.float32))
     )
@@ -80,8 +79,7 @@ def bundle(folder: Path, hidden: tuple[int, ...]) -> Path:
 def test_only_those_of_one_build_act_together(tmp_path: Path):
     small, other, wide = bundle(tmp_path / "a", (4,)), bundle(tmp_path / "b", (4,)), bundle(tmp_path / "c", (5,))
     assert are_alike([small]) and are_alike([small, other]) and not are_alike([small, other, wide])
-    assert load_together([small, other])[1].hidden == (4,)
-    refused(ValueError, (str(wide), str(small), "each by itself"), lambda: load_together([small, wide]))
+    refused(ValueError, (str(wide), str(small), "each by itself"), lambda: load_controller(small, wide))
     (unlike,) = learned_methods([small, wide])
     assert unlike.batches(10) == [range(1), range(1, 2)]
 

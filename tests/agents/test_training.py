@@ -24,15 +24,14 @@ import pytest
 import torch
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import MODULES, NAMES, TINY, as_script, run, tiny, weights
+from trainings import NAMES, TINY, as_script, run, tiny, weights
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.bundle import read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
-from agents.runs.monitor import News, TrainingMonitor
-from agents.runs.training import train
+from agents.runs.training import News, TrainingMonitor, train
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.engines.workplace import Workplace
 from baselines.tools.files import sealed
@@ -135,7 +134,7 @@ def last_curve(path: Path, text: str) -> bool:
 @pytest.mark.parametrize(
     ("where", "when", "resume"),
     [
-        ("agents.runs.monitor.RunFolder.save", None, False),  # the best policy is there, and nothing to go on from
+        ("agents.runs.training.RunFolder.save", None, False),  # the best policy is there, and nothing to go on from
         ("agents.runs.checkpoint.write_text", last_curve, True),
         ("agents.runs.training.save_bundle", None, True),
         ("agents.runs.training.annotate", None, True),
@@ -318,7 +317,7 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     (many / "seed5").write_text("a file")
     monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
     with pytest.raises(SystemExit) as end:
-        main(PpoConfig, MODULES["ppo"].make_learner, None)
+        main(PpoConfig, None)
     reported = capsys.readouterr().err.splitlines()
     assert end.value.code == 2 and len(reported) == 2
     assert "seed5: cannot write to" in reported[0] and "1 other runs" in reported[1]
@@ -338,7 +337,7 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path,
     with pytest.raises(Interrupted):
         run(config, StopAt(128, monkeypatch))
     monkeypatch.undo()
-    end = run_in(config, MODULES["ppo"].make_learner, "python train/ppo.py --seeds 2", config.out, Channel())
+    end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
     assert end.steps == 256
     run(as_script(tmp_path / "whole"))
     assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
@@ -353,7 +352,7 @@ def test_progress_is_reported(base: str, rings: bool, tmp_path: Path):
     """An arm without a base does not ring to be compared with."""
     reports: list[News] = []
     config = tiny("ppo", tmp_path, total_steps=128, validation_every=64, base=base)
-    train(config, MODULES["ppo"].make_learner, Channel(reports.append))
+    train(config, Channel(reports.append))
     validated = [news for news in reports if news.cost is not None]
     assert [news.steps for news in validated] == [0, 64, 128]
     assert all("cost" in news.scores or "of the base" in news.scores for news in validated)

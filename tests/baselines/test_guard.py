@@ -11,7 +11,7 @@ from properties import examples
 from refusals import refused
 
 from agents.policy.bundle import POLICIES, load_controller
-from agents.residual.guarded import GuardedResidualController
+from agents.residual.controller import GuardedResidualController
 from baselines.guard.controller import GuardedController, GuardedMemory, guarded, servo_for
 from baselines.guard.guard import (
     ASKS,

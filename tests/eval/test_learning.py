@@ -44,7 +44,7 @@ def test_variants_are_the_default_with_one_thing_changed():
     assert set(FACTORS) == {variant.factor for variant in VARIANTS[1:]}
     assert VARIANTS[0] is DEFAULT and not DEFAULT.options
     for variant in VARIANTS:
-        kind = ALGORITHMS[variant.script].config
+        kind = ALGORITHMS[variant.script]
         config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
         config.check()
         changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
@@ -63,7 +63,7 @@ def test_every_variant_has_its_seeds_and_its_first_before_any_second():
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
     for name in ("default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"):
         script, *options = Run(BY_NAME[name], 0, 2_000_000, tmp_path).words
-        config = parse(ALGORITHMS[Path(script).stem].config, arguments=options)
+        config = parse(ALGORITHMS[Path(script).stem], arguments=options)
         assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01), name
     command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
     assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"

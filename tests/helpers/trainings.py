@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from agents.learners.registry import ALGORITHMS
-from agents.policy.bundle import read_weights
-from agents.runs.monitor import TrainingMonitor
+from agents.policy.bundle import read_bundle
 from agents.runs.settings import RunConfig
-from agents.runs.training import train
+from agents.runs.training import TrainingMonitor, train
 from baselines.engines.parallel import Channel, StopRequest
 
 NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
-MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
 ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
 OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
 REINFORCEMENT = {
@@ -32,7 +29,7 @@ OWN: dict[str, dict[str, Any]] = {
     "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8},
     "sac": {**REINFORCEMENT, **OFF_POLICY},
     "student": IMITATION,
-    "rma": {**IMITATION, "rounds": 3, "told": 0.6, "latent": 3},
+    "rma": {**IMITATION, "rounds": 3, "privileged_share": 0.6, "latent": 3},
 }
 SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
 TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
@@ -40,7 +37,7 @@ TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 
 def tiny(name: str, out: Path, **options: Any) -> Any:
     """A few arms and updates, and two validations; the replay buffer comes round."""
-    return ALGORITHMS[name].config(**{"out": out, **OWN[name], **options})
+    return ALGORITHMS[name](**{"out": out, **OWN[name], **options})
 
 
 def as_script(out: Path, **options: Any) -> Any:
@@ -50,7 +47,7 @@ def as_script(out: Path, **options: Any) -> Any:
 
 def run(config: RunConfig, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:
     channel = Channel(report) if report is not None else Channel(stop=stop or StopRequest())
-    return train(config, ALGORITHMS[config.algorithm].make_learner, channel)
+    return train(config, channel)
 
 
 class StopAfter(StopRequest):
@@ -71,7 +68,7 @@ class StopAfter(StopRequest):
 
 def weights(folder: Path) -> dict[str, bytes]:
     """Weights of a policy."""
-    return {name: array.tobytes() for name, array in read_weights(folder)[0].arrays.items()}
+    return {name: array.tobytes() for name, array in read_bundle(folder).weights.arrays.items()}
 
 
 def in_memory() -> tempfile.TemporaryDirectory[str]:

@@ -21,8 +21,8 @@ from commands import mistake, stopped
 
 from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
-from agents.runs.checkpoint import RunFolder
-from agents.runs.command_line import COMMAND, begun_options, main
+from agents.runs.checkpoint import COMMAND, RunFolder
+from agents.runs.command_line import begun_options, main
 from baselines.tools.command import this_python
 from baselines.tools.options import parse
 from baselines.tools.resuming import note_options
@@ -34,7 +34,7 @@ TINY = "--arms 8 --rollout-steps 8 --batch-size 32 --validation-every 128 --vali
 
 def train_ppo() -> None:
     """What `train/ppo.py` does, within this process."""
-    main(ppo.PpoConfig, ppo.make_learner, None)
+    main(ppo.PpoConfig, None)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -97,13 +97,13 @@ def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_
 
 def test_options_noted_that_are_none_are_refused(trained: Path, tmp_path: Path) -> None:
     shutil.copytree(trained, tmp_path / "run")
-    config = tmp_path / "run" / "config.json"
+    config = tmp_path / "run" / COMMAND
     content = json.loads(config.read_text())
     content["config"]["total_steps"] = "many"
     config.write_text(json.dumps(content))
     assert "--total-steps=many" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
     config.write_text("{}")
-    assert "config.json is damaged" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
+    assert "command.json is damaged" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
 
 
 @pytest.mark.parametrize("noted", [True, False])
@@ -124,7 +124,7 @@ def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_every_option_is_noted_so_that_it_can_be_resumed(name: str, tmp_path: Path) -> None:
     """With values that are not the defaults."""
-    kind = ALGORITHMS[name].config
+    kind = ALGORITHMS[name]
     others: dict[str, Any] = {"out": tmp_path / "run", "resume": True, "overwrite": False}
     for each in fields(kind):
         allowed = get_args(get_type_hints(kind)[each.name])
@@ -160,7 +160,7 @@ def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Sign
 
 def test_bad_training_options(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
-        (("--arms", "0"), "--arms must be at least 1, got 0"),
+        (("--arms", "0"), "--arms must lie within 1 and 40000, got 0"),
         (("--seed", "-1"), "--seed must lie within"),
         (("--residual-limit", "3"), "got 3.0"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),

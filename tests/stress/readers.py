@@ -19,7 +19,7 @@ from safetensors.numpy import save
 from agents import tensor_file
 from agents.learners.ppo import PpoConfig
 from agents.policy.actor import Actor
-from agents.policy.bundle import POLICY_FILE, read_weights, save_bundle
+from agents.policy.bundle import POLICY_FILE, read_bundle, save_bundle
 from agents.policy.description import BundleSpec
 from agents.residual.controller import ResidualSettings
 from agents.runs.checkpoint import RunFolder
@@ -85,7 +85,7 @@ def _policy(folder: Path) -> Reader:
         return {POLICY_FILE: save(tensors, metadata={"policy": json.dumps(description)})}, fits
 
     def read() -> object:
-        weights, _, description = read_weights(folder)
+        weights, _, description, _ = read_bundle(folder)
         return description, {name: array.tolist() for name, array in weights.arrays.items()}
 
     return Reader(read, damaged)

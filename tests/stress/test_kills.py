@@ -32,8 +32,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from agents.learners.ppo import PpoConfig
-from agents.learners.registry import ALGORITHMS
-from agents.policy.bundle import POLICY_FILE, read_weights
+from agents.policy.bundle import POLICY_FILE, read_bundle
 from agents.runs.training import train
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.schema import read_results, write_results
@@ -67,9 +66,9 @@ def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
 def _train(folder: Path, resume: bool) -> None:
     for kind in ("best", "last"):
         if resume and (folder / kind / POLICY_FILE).exists():
-            read_weights(folder / kind)
+            read_bundle(folder / kind)
     config = replace(_PPO, out=folder, resume=resume and (folder / "config.json").exists())
-    train(config, ALGORITHMS["ppo"].make_learner)
+    train(config)
 
 
 def _training(folder: Path) -> dict[str, Any]:
@@ -77,7 +76,7 @@ def _training(folder: Path) -> dict[str, Any]:
     meaning: dict[str, Any] = {"config.json": json.loads((folder / "config.json").read_text())["identity"]}
     meaning["validation.csv"] = pd.read_csv(folder / "validation.csv").drop(columns="seconds").to_csv()
     for kind in ("best", "last"):
-        weights, spec, _ = read_weights(folder / kind)
+        weights, spec, *_ = read_bundle(folder / kind)
         curve = [[steps, cost] for steps, _, cost in spec.provenance["curve"]]
         arrays = {name: array.tolist() for name, array in weights.arrays.items()}
         meaning[kind] = [replace(spec, provenance={}), arrays, curve]

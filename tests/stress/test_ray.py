@@ -18,10 +18,9 @@ from side_by_side import InWorkers, Place, square
 from trainings import weights
 
 from agents.learners.ppo import PpoConfig
-from agents.learners.registry import ALGORITHMS
 from agents.policy.bundle import read_spec
 from agents.runs.command_line import main
-from agents.runs.monitor import News
+from agents.runs.training import News
 from baselines.engines import cluster
 from baselines.engines.parallel import Engine
 from eval.comparison.cache import Part, run_parts
@@ -100,31 +99,33 @@ def test_a_comparison_is_the_same_on_ray_on_one_machine(tmp_path: Path):
 FEW = "--total-steps 256 --validation-every 128 --arms 8 --rollout-steps 16 --batch-size 64 --validation-arms 4".split()
 
 
-def train(monkeypatch: pytest.MonkeyPatch, make_learner: Any, *options: object) -> None:
+def train(monkeypatch: pytest.MonkeyPatch, config: type[PpoConfig], *options: object) -> None:
     monkeypatch.setattr(sys, "argv", ["train/ppo.py", *map(str, [*options, *FEW])])
-    main(PpoConfig, make_learner, None)
+    main(config, None)
 
 
-def lose_a_machine(config: Any) -> Any:
-    """Make a learner that kills its machine, as Ray has it, after the checkpoint of seed 1 at 128 steps; not twice."""
-    learner = ALGORITHMS["ppo"].make_learner(config)
-    whole = learner.learn
+class LosesAMachine(PpoConfig):
+    """Its learner kills its machine, as Ray has it, after the checkpoint of seed 1 at 128 steps; not twice."""
 
-    def learn(monitor: Any) -> None:
-        channel = monitor.channel
+    def make_learner(self) -> Any:
+        learner: Any = super().make_learner()
+        whole = learner.learn
 
-        def report(news: News) -> None:
-            channel.report(news)
-            if news.steps == 128 and news.cost is not None:
-                os.kill(os.getppid(), signal.SIGKILL)
-                os.kill(os.getpid(), signal.SIGKILL)
+        def learn(monitor: Any) -> None:
+            channel = monitor.channel
 
-        if config.seed == 1 and not monitor.folder.checkpoint.exists():
-            monitor.channel = replace(channel, report=report)
-        whole(monitor)
+            def report(news: News) -> None:
+                channel.report(news)
+                if news.steps == 128 and news.cost is not None:
+                    os.kill(os.getppid(), signal.SIGKILL)
+                    os.kill(os.getpid(), signal.SIGKILL)
 
-    learner.learn = learn
-    return learner
+            if self.seed == 1 and not monitor.folder.checkpoint.exists():
+                monitor.channel = replace(channel, report=report)
+            whole(monitor)
+
+        learner.learn = learn
+        return learner
 
 
 def test_a_training_whose_machine_is_lost_goes_on_and_is_the_local_one(
@@ -132,8 +133,8 @@ def test_a_training_whose_machine_is_lost_goes_on_and_is_the_local_one(
 ):
     """This takes a machine from the cluster, and so is the last test that has it."""
     storage, options = tmp_path / "store", ("--engine", "ray", "--address", address, "--storage", tmp_path / "store")
-    train(monkeypatch, lose_a_machine, "--out", tmp_path / "far", "--seeds", 2, *options)
-    train(monkeypatch, ALGORITHMS["ppo"].make_learner, "--out", tmp_path / "here", "--seeds", 2)
+    train(monkeypatch, LosesAMachine, "--out", tmp_path / "far", "--seeds", 2, *options)
+    train(monkeypatch, PpoConfig, "--out", tmp_path / "here", "--seeds", 2)
     for policy in ("seed0/last", "seed0/best", "seed1/last", "seed1/best"):
         assert weights(tmp_path / "far" / policy) == weights(tmp_path / "here" / policy)
     assert {path.name for path in storage.iterdir()} == {"seed0.zip", "seed1.zip"}
@@ -141,7 +142,7 @@ def test_a_training_whose_machine_is_lost_goes_on_and_is_the_local_one(
     assert config["out"] == str(tmp_path / "far/seed1") and config["engine"] == "local"
     capsys.readouterr()
     with pytest.raises(SystemExit, match="2"):
-        train(monkeypatch, lose_a_machine, "--out", tmp_path / "other", "--seeds", 2, *options)
+        train(monkeypatch, LosesAMachine, "--out", tmp_path / "other", "--seeds", 2, *options)
     assert "store already holds seed0: continue it with --resume" in capsys.readouterr().err
-    train(monkeypatch, lose_a_machine, "--out", tmp_path / "other", "--seeds", 2, *options, "--resume")
+    train(monkeypatch, LosesAMachine, "--out", tmp_path / "other", "--seeds", 2, *options, "--resume")
     assert weights(tmp_path / "other/seed1/last") == weights(tmp_path / "here/seed1/last"), "from another machine"

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.residual.controller import ResidualController
-from agents.residual.guarded import GuardedResidualController
+from agents.residual.controller import GuardedResidualController, ResidualController
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import LEARNED_LEVEL, PASSIVE_LEVEL
 from baselines.guard.settings import GuardSettings

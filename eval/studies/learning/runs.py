@@ -19,9 +19,8 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
 from agents.policy.bundle import BundleError, load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
-from agents.runs.monitor import SCORES
 from agents.runs.settings import RunConfig
-from agents.runs.training import train
+from agents.runs.training import SCORES, train
 from baselines.engines.parallel import Channel
 from baselines.tools.files import write_text
 from baselines.tools.options import parse
@@ -115,7 +114,7 @@ class Run:
     @property
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
-        budget = self._budget(parse(ALGORITHMS[self.variant.script].config, arguments=list(self.variant.options)))
+        budget = self._budget(parse(ALGORITHMS[self.variant.script], arguments=list(self.variant.options)))
         script, quick = f"train/{self.variant.script}.py", _QUICK if self.quick else ()
         return [str(word) for word in (script, *budget, *quick, *self.variant.options, "--seed", self.seed)]
 
@@ -201,9 +200,8 @@ def train_run(words: list[str], out: Path, place: Path, channel: Channel | None)
     script, *options = words
     resume = ["--resume"] if RunFolder(place).checkpoint.exists() else []
     arguments = [*options, "--out", str(out), *resume]
-    algorithm = ALGORITHMS[Path(script).stem]
-    config = parse(algorithm.config, arguments=arguments)
-    train(config, algorithm.make_learner, channel, shlex.join(["python", script, *arguments]), place)
+    config = parse(ALGORITHMS[Path(script).stem], arguments=arguments)
+    train(config, channel, shlex.join(["python", script, *arguments]), place)
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:

@@ -20,8 +20,8 @@ from commands import mistake, stopped
 
 from agents.policy.actor import Actor
 from agents.policy.bundle import (
+    ACCELEROMETER_POLICIES,
     CARD,
-    FELT_POLICIES,
     POLICIES,
     POLICY_FILE,
     load_controller,
@@ -151,7 +151,7 @@ def test_a_card_says_where_its_policy_loses():
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(hub, "_SPEED", 10.0)
-    share(str(FELT_POLICIES / "student/seed0"), "--video", folder=tmp_path)
+    share(str(ACCELEROMETER_POLICIES / "student/seed0"), "--video", folder=tmp_path)
     folder = tmp_path / "results/hub/student-BeltArm-v0"
     assert (folder / FILM).read_bytes()[4:8] == b"ftyp" and not (folder / EXCERPT).exists()
     assert json.loads((folder / CONFIG).read_text())["sensors"] == "accelerometer"
