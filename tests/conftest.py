@@ -26,9 +26,7 @@ assert properties.FUZZ != settings.get_current_profile_name()
 with contextlib.redirect_stderr(io.StringIO()):
     library.announce()  # which it does once: an empty cache adds no line to what commands say within this process
 
-LONG = tuple(
-    f"test_{name}" for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "package", "program")
-)
+LONG = tuple(f"test_{name}" for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "program"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -137,13 +137,6 @@ def test_who_follows_the_advice_pays_less(recording: Recording):
         assert costs[1] < 0.95 * costs[0] and costs[2] < 0.85 * costs[0]
 
 
-def test_the_advice_is_to_stay_where_the_motor_sticks(recording: Recording):
-    changes, _ = best_changes(recording)
-    rests = (recording.state[:-1, :, 1] == 0) & (recording.state[1:, :, 1] == 0)
-    assert rests.mean() > 0.1
-    assert np.median(np.abs(changes[1:][rests])) < 0.1 * np.median(np.abs(changes[1:][~rests]))
-
-
 @pytest.mark.parametrize(("residual", "hold"), [(0.0, 1), (0.2, 7)])
 def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float, hold: int):
     settings = ResidualSettings(limit=0.2, hold=hold)
@@ -173,13 +166,6 @@ class TestFit:
         learner.advice = [advice]
         learner.fit()
         return learner
-
-    def test_equal_inputs_get_the_weighted_mean(self):
-        inputs = torch.zeros(30, 2, 26).half()
-        labels, weights = torch.zeros(30, 2), torch.ones(30, 2)
-        labels[:, 0], weights[:, 0] = 0.3, 3.0
-        actor = self.fitted(Advice(inputs, labels, weights), huber=10.0)._regression.network
-        assert float(actor(inputs.float()).detach().mean()) == pytest.approx(0.225, abs=0.01)
 
     @pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
     def test_a_memory_tells_apart_what_looks_the_same(self, width: int, remembers: bool):

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,14 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
 from refusals import refused
-from torch import nn
 
-from agents.policy.actor import Actor, actor_of
+from agents.policy.actor import Actor
 from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, POLICY_FILE, load_controller, read_spec, save_bundle
 from agents.policy.description import BundleError
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
-from agents.policy.weights import ActorShape, Weights
+from agents.policy.weights import ActorShape
 from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import VALIDATION
 
@@ -50,53 +46,6 @@ def test_sizes_that_are_not_allowed():
         refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
     shapes = ActorShape(INPUTS, (4,)), ActorShape(INPUTS, (4,), gru=7), ActorShape(INPUTS, (4,), lstm=1024)
     assert [shape.memory for shape in shapes] == [(0,), (7,), (2, 1024)]
-
-
-def test_weights_are_the_arrays_of_the_layers_and_no_others():
-    shape = ActorShape(INPUTS, (4,), gru=2)
-    arrays = Actor(shape).weights().arrays
-    assert {name: array.shape for name, array in arrays.items()} == shape.arrays()
-    for wrong, words in (
-        ({name: array for name, array in arrays.items() if name != "gru.bias_hh_l0"}, "no array 'gru.bias_hh_l0'"),
-        (arrays | {"layers.4.weight": np.zeros((1, 1), np.float32)}, "an array 'layers.4.weight', of no layer"),
-        (arrays | {"layers.2.bias": np.zeros(1)}, "layers.2.bias is float64 of shape (1,)"),
-        (arrays | {"layers.2.bias": np.zeros((1, 1), np.float32)}, "must be float32 of shape (1,)"),
-        (arrays | {"layers.2.bias": np.full(1, np.nan, np.float32)}, "layers.2.bias has numbers that are not finite"),
-    ):
-        with pytest.raises(ValueError, match=re.escape(words)):
-            Weights(shape, wrong)
-
-
-@pytest.mark.parametrize(("hidden", "gru"), [((), 0), ((4, 2), 2)])
-def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, ...], gru: int):
-    torch.manual_seed(0)
-    actor = Actor(ActorShape(INPUTS, hidden, "relu", gru=gru, standardised=True)).requires_grad_(False)
-    actor.mean[:], actor.deviation[:] = torch.tensor([1.0, 0.0, -1.0]), torch.tensor([0.5, 2.0, 1.0])
-    seen = torch.randn(6, 2, INPUTS)  # samples, episodes, inputs
-    z = np.clip((seen.numpy() - [1.0, 0.0, -1.0]) / [0.5, 2.0, 1.0], -5, 5)
-    if actor.gru is not None:
-        memories, _ = actor.gru(torch.tensor(z, dtype=torch.float32))
-        z = np.concatenate([z, memories.numpy()], axis=-1)
-    weights = [value.numpy() for value in actor.layers.state_dict().values()]
-    for k, (weight, bias) in enumerate(zip(weights[::2], weights[1::2], strict=True)):
-        z = z @ weight.T + bias
-        z = z if k == len(hidden) else np.maximum(z, 0)
-    assert z.shape == (6, 2, 1)
-    np.testing.assert_allclose(actor(seen).numpy(), z, atol=1e-5)
-
-
-def test_layers_that_a_librarys_policy_does_not_have():
-    body = nn.Sequential(nn.Linear(INPUTS, 4), nn.Tanh(), nn.Linear(4, 2), nn.Tanh())
-    policy: Any = SimpleNamespace(mlp_extractor=SimpleNamespace(policy_net=body), action_net=nn.Linear(2, 1))
-    actor = actor_of(policy, ActorShape(INPUTS, (4, 2)))
-    addresses = {parameter.data_ptr() for parameter in body.parameters()}
-    assert not any(value.requires_grad or value.data_ptr() in addresses for value in actor.parameters()), "a copy"
-    for hidden in ((4,), (4, 2, 2), (2, 4)):
-        with pytest.raises(ValueError, match="does not have the layers"):
-            actor_of(policy, ActorShape(INPUTS, hidden))
-    for other in (ActorShape(INPUTS + 1, (4, 2)), ActorShape(INPUTS, (4, 2), lstm=INPUTS)):
-        with pytest.raises(ValueError, match="does not have the layers"):
-            actor_of(policy, other)
 
 
 def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
@@ -145,30 +94,6 @@ def test_a_memory_begins_anew_where_an_episode_does():
     assert following is not None and following.shape == (3, shape.gru)
 
 
-PLAIN = """
-import sys; sys.path[:0] = ["tests/agents", "tests/helpers"]
-import numpy as np
-from episodes import assert_same_in_batches
-from networks import SHAPES, episodes, lively
-from test_policy import NetworkPolicy, answers
-def of(name):
-    return answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3))
-answered = {name: of(name) for name in NAMES}
-"""
-
-
-@pytest.mark.slow
-def test_without_compiler_the_very_same_numbers(tmp_path: Path):
-    names = ("elu", "tanh", "recurrent")
-    code = f"NAMES = {names!r}\n{PLAIN}\nnp.savez({str(tmp_path / 'plain.npz')!r}, **answered)"
-    environment = {**os.environ, "BELTARM_ENGINE": "plain", "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True)
-    with np.load(tmp_path / "plain.npz") as plain:
-        for name in names:
-            expected = answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3))
-            assert plain[name].tobytes() == expected.tobytes(), name
-
-
 WITHOUT = """
 import sys
 import numpy as np
@@ -185,20 +110,6 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
-
-
-def test_inputs_are_picked_in_the_policys_own_order():
-    weights = lively(ActorShape(2, (4,), gru=3)).weights()
-    seen, begins = episodes(ActorShape(5, ()), 2, 1)[0], np.array([True, False])
-    picking, plain = NetworkPolicy(weights, [3, 0], 5), NetworkPolicy(weights)
-    memory = np.ones((2, 3), np.float32)
-    expected = plain.predict(seen[:, [3, 0]], memory, begins)
-    for ours, theirs in zip(picking.predict(seen, memory, begins), expected, strict=True):
-        assert ours is not None
-        np.testing.assert_array_equal(ours, theirs)
-    for shape in ((2, 4), (2, 6), (5,), (1, 2, 5)):
-        with pytest.raises(ValueError, match="observes 5 entries, got shape"):
-            picking.predict(np.ones(shape, np.float32))
 
 
 @pytest.mark.parametrize(

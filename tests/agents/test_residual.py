@@ -20,7 +20,7 @@ from stable_baselines3.common.env_checker import check_env
 
 from agents.policy.bundle import BundleSpec
 from agents.policy.network import NetworkPolicy
-from agents.residual.controller import ResidualController, ResidualSettings, combine
+from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualEnv, ResidualVecEnv
 from agents.residual.informed import InformedBase
 from agents.residual.knowledge import ENTRIES, residual_observation_space
@@ -132,12 +132,6 @@ class TestZeroResidual:
             assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
         assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
 
-    def test_adds_nothing_and_others_are_scaled_and_the_sum_cut(self):
-        base = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
-        assert combine(base, np.zeros_like(base), 0.7).tobytes() == base.tobytes()
-        base, residual = np.array([[0.1], [0.9], [-0.9]], np.float32), np.array([[-1], [1], [-0.5]], np.float32)
-        assert combine(base, residual, 0.5).ravel().tolist() == pytest.approx([-0.4, 1.0, -1.0])
-
 
 def test_batch_agrees_with_single_arms_bit_for_bit():
     count = 5
@@ -221,14 +215,6 @@ def test_what_the_agent_observes():
         seen, *_ = plain.step(action)
         if sample % SETTINGS.hold == SETTINGS.hold - 1:
             observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
-
-
-def test_knowledge_none_is_the_base_torque_alone():
-    settings = replace(SETTINGS, knowledge="none")
-    batch = many(3, settings)
-    observations = observed(batch)
-    action, _ = CONTROLLERS["paper"]().predict(observations[:, : size()])
-    assert np.array_equal(observations[:, size() :], action)
 
 
 @pytest.mark.parametrize(("hold", "scale"), [(1, 1.0), (7, 0.01)])

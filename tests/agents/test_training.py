@@ -11,20 +11,17 @@ import shutil
 import subprocess
 import sys
 import time
-from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
 import torch
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import NAMES, TINY, as_script, run, tiny, weights
+from trainings import NAMES, TINY, run, tiny, weights
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
@@ -75,7 +72,7 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, mon
     """Bit for bit: networks, optimisers, curve and bundles, whatever happened to the generators in between."""
     whole = run(tiny(name, tmp_path / "whole"))
     config = tiny(name, tmp_path / "parts")
-    for steps in (64, 320):
+    for steps in (64, 192):
         with pytest.raises(Interrupted, match=rf"interrupted at {steps} steps, saved in .*parts"):
             run(replace(config, resume=steps > 64), StopAt(steps, monkeypatch))
         monkeypatch.undo()
@@ -92,15 +89,6 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, mon
         assert weights(tmp_path / "whole" / kind) == weights(tmp_path / "parts" / kind)
 
 
-def test_another_seed_is_another_run_and_resuming_a_finished_one_changes_nothing(finished: Path, tmp_path: Path):
-    shutil.copytree(finished, tmp_path / "run")
-    first, second = (run(resumed(tmp_path / "run")) for _ in range(2))
-    assert same_weights(first, second) and costs(first) == costs(second)
-    for path in (finished / "best").iterdir():
-        assert (tmp_path / "run/best" / path.name).read_bytes() == path.read_bytes()
-    assert not same_weights(first, run(tiny("ppo", tmp_path / "other", seed=1, total_steps=128)))
-
-
 @pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
@@ -112,9 +100,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
         (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
         os.utime(tmp_path / "run" / half, (0, 0))  # as if an hour had passed
-    killed = run(as_script(tmp_path / "run", resume=True))
+    killed = run(tiny("ppo", tmp_path / "run", resume=True))
     assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
-    whole = run(as_script(tmp_path / "whole"))
+    whole = run(tiny("ppo", tmp_path / "whole"))
     assert same_weights(killed, whole) and costs(killed) == costs(whole)
     assert weights(tmp_path / "run" / "last") == weights(tmp_path / "whole" / "last")
 
@@ -250,22 +238,9 @@ def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     path.write_bytes(sealed(pickle.dumps(content)))
 
 
-def with_a_class_that_is_gone(content: dict[str, Any]) -> None:
-    with ZipFile(BytesIO(content["learner"]["model"])) as old:
-        files = {name: old.read(name) for name in old.namelist()}
-    data, new = json.loads(files["data"]), BytesIO()
-    pickled = next(value for value in data.values() if isinstance(value, dict) and ":serialized:" in value)
-    pickled[":serialized:"] = b64encode(b"cagents.runs\nGone\n.").decode()
-    with ZipFile(new, "w") as written:
-        for name, part in {**files, "data": json.dumps(data)}.items():
-            written.writestr(name, part)
-    content["learner"]["model"] = new.getvalue()
-
-
 MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
     "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
-    "a class that is gone": (with_a_class_that_is_gone, "UserWarning: Could not deserialize"),
     "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
 }
 
@@ -321,25 +296,25 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     reported = capsys.readouterr().err.splitlines()
     assert end.value.code == 2 and len(reported) == 2
     assert "seed5: cannot write to" in reported[0] and "1 other runs" in reported[1]
-    run(as_script(tmp_path / "alone", seed=4))
+    run(tiny("ppo", tmp_path / "alone", seed=4))
     assert weights(many / "seed4/last") == weights(tmp_path / "alone/last")
-    with Workplace(as_script(many), many) as local:
+    with Workplace(tiny("ppo", many), many) as local:
         with pytest.raises(ValueError, match="seed4 already holds a run"):
-            runs_of(as_script(many, seed=4, seeds=2), local)
+            runs_of(tiny("ppo", many, seed=4, seeds=2), local)
         (many / "seed5").unlink()
-        going_on = runs_of(as_script(many, seed=4, seeds=2, resume=True), local)
+        going_on = runs_of(tiny("ppo", many, seed=4, seeds=2, resume=True), local)
     assert [each.resume for each in going_on.values()] == [True, False], "one that was waiting begins"
 
 
 def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """With the very options that it was begun with, which are not those of resuming."""
-    config = as_script(tmp_path / "run")
+    config = tiny("ppo", tmp_path / "run")
     with pytest.raises(Interrupted):
         run(config, StopAt(128, monkeypatch))
     monkeypatch.undo()
     end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
     assert end.steps == 256
-    run(as_script(tmp_path / "whole"))
+    run(tiny("ppo", tmp_path / "whole"))
     assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 

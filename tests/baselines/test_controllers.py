@@ -146,11 +146,6 @@ class TestKernel:
 
         assert_law_of_one_arm(controller, apart, memory)
 
-    @pytest.mark.parametrize("name", FELT)
-    def test_is_refused_with_an_accelerometer(self, name: str):
-        with pytest.raises(TypeError, match="encoder alone"):
-            FELT[name]().kernel()
-
 
 class TestDriving:
     @pytest.mark.parametrize("name", TUNABLE)

@@ -18,7 +18,6 @@ from bundles import Exploit
 from hypothesis import example, given
 from hypothesis import strategies as st
 from refusals import refused
-from rich.console import Console
 
 from baselines.gains import tuned
 from baselines.registry import TUNABLE
@@ -32,8 +31,7 @@ from baselines.tools.files import (
     write_sealed,
     write_text,
 )
-from baselines.tools.progress import progress_count, progress_over, progress_rows
-from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of, parse
+from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, list_of, mapping_of, object_of, parse
 from eval.comparison import sets
 from eval.comparison.schema import read_results
 
@@ -156,11 +154,6 @@ class TestJson:
             with pytest.raises(ValueError):
                 parse(data)
 
-    def test_in_a_line(self):
-        values = " two\n\t words ", "bell\a", [1, None], "a" * 20, "a" * 10**6
-        shown = "two words", "bell?", "[1, None]", "a" * 20, "a" * 17 + "..."
-        assert tuple(in_a_line(value, 20) for value in values) == shown
-
 
 BOOK = object_of(
     ("pages",),
@@ -201,42 +194,6 @@ class TestSchema:
         with pytest.raises(ValueError, match=rf"^the book: \${words}") as caught:
             check({**GOOD, **change}, "the book", BOOK)
         assert "\n" not in str(caught.value)
-
-
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Console:
-    monkeypatch.setenv("TERM", "xterm")
-    return Console(file=io.StringIO(), force_terminal=True, width=80)
-
-
-def written(console: Console) -> str:
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue()
-
-
-class TestProgress:
-    def test_a_refusal_comes_without_a_display(self, terminal: Console):
-        with (
-            pytest.raises(ValueError, match="no"),
-            progress_rows(["a"], 2, terminal),
-            progress_count("pairs", terminal),
-        ):
-            raise ValueError("no")
-        assert written(terminal) == ""
-
-    def test_displays_begin_with_the_first_news_and_are_removed(self, terminal: Console):
-        with progress_rows(["a", "b"], 2, terminal) as rows:
-            rows.show("a", 1, "half")
-            assert " 50 %" in written(terminal) and "half" in written(terminal)
-        with progress_count("pairs", terminal) as show:
-            assert "pairs" not in written(terminal)
-            show(0, 3)
-            assert "pairs" in written(terminal)
-        for _ in progress_over("things", "abcd", terminal):
-            assert "things" in written(terminal), "from the first one on"
-        assert written(terminal).endswith("\x1b[2K")
-        console = Console(file=io.StringIO())
-        assert list(progress_over("things", "a", console)) == ["a"] and written(console) == "", "not on a terminal"
 
 
 def git(folder: Path, *words: str) -> str:

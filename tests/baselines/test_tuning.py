@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +29,10 @@ from baselines.tuning.search import (
     MIN_BUDGET,
     RUNGS,
     SearchProgress,
-    charged,
     estimate,
     hopeless,
     open_search,
-    rounded,
     search,
-    space,
     split_budget,
 )
 from baselines.tuning.study import begin_anew, own
@@ -231,18 +228,6 @@ def test_laws_of_the_race():
     assert not hopeless(mostly_worse, best)
 
 
-def test_torque_that_reverses_often_is_charged():
-    np.testing.assert_allclose(charged(np.full(3, 100.0), np.array([0.0, 10.0, 25.0])), [100.0, 100.0, 250.0])
-
-
-@pytest.mark.parametrize("name", TUNABLE)
-def test_every_controller_can_be_searched(name: str):
-    kind = TUNABLE[name].gains
-    assert set(space(kind)) == {gain.name for gain in fields(kind)}
-    assert rounded(asdict(kind()), kind) == kind()
-    assert rounded({"vibration": 0.99999999}, OneGain) == OneGain(1.0)
-
-
 class TestFile:
     def test_entry_is_written_beside_the_others(self, tmp_path: Path):
         path = tmp_path / "gains.json"
@@ -305,7 +290,7 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
     assert errors.replace(f"{ANNOUNCEMENT}\n", "") == ""
     assert f"python baselines/tune.py {name} --out gains.json --resume" in output
     assert out.read_text() == "{}"
-    size, budget = journal.stat().st_size, 5 * MIN_BUDGET
+    size, budget = journal.stat().st_size, 2 * MIN_BUDGET
     words = (name, "--out", "gains.json", "--resume", "--budget", str(budget))
     origin = tune(*words)[name]["provenance"]
     assert capsys.readouterr().err == ""

@@ -94,11 +94,6 @@ class TestBeginningAndEnd:
             assert {type(value) for value in info.values()} == {float} and set(info) == INFO
         assert env.time == pytest.approx(1.8)
 
-    def test_an_arm_takes_little_memory(self):
-        for settings in ({}, {"sensors": "accelerometer", "randomization": "train"}):
-            batch: Any = make(**settings)._batch
-            assert sum(array.nbytes for array in (batch.blocks, batch.scratch, batch.tile, batch.table)) < 4000
-
     def test_a_time_limit_ends_the_episode_that_the_arm_ends_itself(self):
         """Also where the arm leaves its workspace with the last step: Gymnasium's TimeLimit calls that both."""
         for env in (make(), gym.make("BeltArm-v0")):

@@ -161,18 +161,6 @@ class TestWindow:
         renderer.close()
         assert not pygame.display.get_init()
 
-    def test_updates_once_per_frame_of_arm_time(self, monkeypatch: pytest.MonkeyPatch):
-        renderer = Renderer("human", 50)
-        flips = []
-        monkeypatch.setattr(pygame.display, "flip", lambda: flips.append(1))
-        for step in range(50):
-            renderer.draw(PARAMS, state(0.5), 0.5, 0.0015 * step)
-        assert len(flips) == 4  # frames begin at 0, 20, 40 and 60 of 73.5 ms
-        renderer.clear()
-        renderer.draw(PARAMS, state(0.5), 0.5, 0.0)
-        assert len(flips) == 5
-        renderer.close()
-
     def test_closing_the_window_does_not_stop_the_arm(self):
         renderer = Renderer("human", 50)
         pygame.event.post(pygame.event.Event(pygame.QUIT))

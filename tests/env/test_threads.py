@@ -84,14 +84,6 @@ def test_what_tells_no_number_is_a_thread_for_each_core(monkeypatch: pytest.Monk
     assert [blocks.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, blocks.MAX_THREADS]
 
 
-def test_small_batches_have_fewer_threads(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.undo()
-    for built in (False, True):
-        found = [blocks.threads_for(count, built, seldom=False, most=3) for count in range(100)]
-        assert found == sorted(found) and (found[0], found[-1]) == (1, 3)
-    assert blocks.threads_for(16, False, True, 9) <= blocks.threads_for(16, False, False, 9) <= 9
-
-
 @compiled
 def mark_blocks(thread: int, taken: Integers, marks: Integers) -> None:
     """Take blocks until none is left, and note by whom."""

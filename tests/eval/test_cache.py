@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,15 +18,13 @@ from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import index, size
+from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import cache, provenance
 from eval.comparison.cache import (
-    PERTURBATION,
     Metrics,
     Part,
-    Perturbed,
     measure,
     parts_of,
     read_kept,
@@ -43,8 +38,6 @@ from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
 from eval.report import publish
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -198,13 +191,6 @@ class Sound:
 class Raises(Sound):
     def fail(self):
         raise RuntimeError("no such\\nnumber of arms")
-
-class Shown(Sound):
-    def predict(self, observation, *rest, **options):
-        action, state = super().predict(observation, *rest, **options)
-        if len(observation) < 7 and state > 700:
-            raise IndexError("only\\nto be drawn")
-        return action, state
 """
 
 
@@ -212,24 +198,6 @@ class Shown(Sound):
 def failing(tmp_path: Path) -> Path:
     (tmp_path / "mine.py").write_text(FAILING)
     return tmp_path
-
-
-@pytest.mark.slow
-def test_failures_of_controllers_do_not_stop_the_others(failing: Path):
-    """Where it is run, or drawn; ends of its process are in `test_isolated.py`, and in `make stress`."""
-    added = [word for name in ("Sound", "Raises", "Shown") for word in ("--add", f"mine.py:{name}")]
-    options = ("--methods", "paper", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--out", "out")
-    code, errors = stopped(compare.main, (*added, *options), failing)
-    raises, shown = sorted(errors.splitlines())
-    assert code == 1
-    assert raises == "eval/compare.py: Raises failed on nominal: RuntimeError: no such number of arms (mine.py:15)"
-    assert re.match(r"eval/compare.py: Shown failed on nominal: on scenario \d: IndexError: only to be drawn", shown)
-    results = read_results(failing / "out" / "results.json")
-    assert [row["method"] for row in results["rows"]] == ["paper", "Sound", "Shown"]
-    assert [failure["method"] for failure in results["failures"]] == ["Raises", "Shown"]
-    assert "- Raises on nominal: RuntimeError" in (failing / "out" / "page.md").read_text()
-    assert "<b>Shown</b> on nominal: on scenario" in (failing / "out" / "report.html").read_text()
-    assert not list(failing.glob("out/parts/*Raises*"))  # tried again next time
 
 
 def test_a_failure_can_be_shown_with_its_whole_traceback(failing: Path):
@@ -360,18 +328,6 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 # Sensitive episodes
-
-
-def test_only_the_first_torque_differs_and_stays_within_the_limits():
-    for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-1.0, 1)):
-        known: Any = SimpleNamespace(
-            predict=lambda seen, memory, *_, t=torque: (np.full((len(seen), 1), t, np.float32), 1)
-        )
-        controller = Perturbed(known)
-        first, memory = controller.predict(np.zeros((2, size()), np.float32))
-        assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * PERTURBATION, rel=1e-6)
-        second, _ = controller.predict(np.zeros((2, size()), np.float32), memory)
-        assert second.ravel().tolist() == [torque, torque]
 
 
 def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):

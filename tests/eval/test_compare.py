@@ -16,6 +16,7 @@ import pytest
 from browser import Page, browser
 from commands import mistake, stopped
 from jsonschema import Draft202012Validator
+from studies import save_coarsely
 
 from beltarm_env.metrics import TORQUES
 from eval import compare
@@ -24,6 +25,7 @@ from eval.comparison.methods import shipped_policies
 from eval.comparison.schema import SCHEMA, read_results
 from eval.comparison.sets import choose_set
 from eval.comparison.splits import EDITION, SPLITS, VERSION
+from eval.report import publish
 from eval.report.publish import LARGEST
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,6 +42,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
         patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
+        patch.setattr(publish, "save_figures", save_coarsely)
         assert stopped(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
 
@@ -128,8 +131,8 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
-        patch.setattr("eval.report.publish.plots", lambda *_: {})
-        patch.setattr("eval.report.publish.render", lambda *_: "")
+        patch.setattr(publish, "plots", lambda *_: {})
+        patch.setattr(publish, "render", lambda *_: "")
         patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add mine.py:Mine")
         assert stopped(compare.main, ("--add", "mine.py:Mine", *words), folder) == (0, "")
     return folder / "out"

@@ -7,9 +7,6 @@ import re
 import shlex
 from dataclasses import fields
 from itertools import product
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +15,9 @@ from hypothesis import strategies as st
 from outcomes import content_of, made, outcome, outcome_of
 
 from baselines import CONTROLLERS
-from baselines.models.modes import held_mode
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.rollout import Recording, rollout
+from beltarm_env.rollout import Recording
 from eval.comparison.cache import Part, measure
 from eval.comparison.methods import classical_methods
 from eval.comparison.results import MethodOutcome
@@ -34,9 +30,6 @@ from eval.report.publish import EVERY, animation, render, without_paths
 from eval.report.recordings import Scene, record, record_scenes
 from eval.report.table import Results, to_markdown
 from eval.studies._frame import text_of
-
-ROOT = Path(__file__).resolve().parents[2]
-
 
 # The page
 
@@ -109,17 +102,6 @@ def test_the_spectrum_of_a_sine_is_a_peak_of_its_height(hertz: float, amplitude:
     frequencies, amplitudes = spectrum(ringing(hertz, amplitude, lateral))
     assert amplitudes.max() == pytest.approx(1000 * np.hypot(amplitude, lateral), rel=0.05)
     assert frequencies[amplitudes.argmax()] == pytest.approx(hertz, abs=0.15)
-
-
-def test_an_arm_left_alone_rings_at_the_frequency_that_is_marked():
-    """The motor of the nominal arm held by friction, the belt released from a torsion."""
-    nothing: Any = SimpleNamespace(predict=lambda seen, *_, **__: (np.zeros((len(seen), 1), np.float32), None))
-    goal = np.radians(20.0)
-    options: dict[str, Any] = {"move": {"start": 0.0, "goal": goal, "duration": 0.6, "ramp_time": 0.15}}
-    options["state"] = [88 * goal, 0.0, 0.02, 0.0]
-    frequencies, amplitudes = spectrum(rollout(nothing, 1, options=options))
-    expected = 1 / held_mode(goal, ArmParams().plant()).period
-    assert frequencies[amplitudes.argmax()] == pytest.approx(expected, rel=0.03)
 
 
 def test_the_animation_has_the_motion_itself():

@@ -20,7 +20,7 @@ from baselines import PaperController
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.motor_learning import MotorLearningController
 from baselines.registry import FELT
-from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
@@ -32,7 +32,7 @@ from eval.studies import _frame, drive, presliding
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
-from eval.studies.iterative import metrics_of, repeated
+from eval.studies.iterative import repeated
 from eval.studies.observers import Score, score, scores_of, watchers
 from eval.studies.presliding import LOCATED, check, verdicts
 from eval.studies.sensors import TIERS, Outcome, outcome
@@ -101,10 +101,10 @@ def test_a_classical_controller_is_its_own_base_and_has_no_weights():
 
 
 def test_cost_falls_from_repetition_to_repetition_the_same_way_every_time():
-    runs, again = (repeated(IterativeController, 3, 3, seed=SEED, randomization="ideal") for _ in range(2))
+    runs, again = (repeated(IterativeController, 2, count, seed=SEED, randomization="ideal") for count in (3, 2))
     costs = [run["cost"].mean() for run in runs]
     assert costs[1] < 0.95 * costs[0] and (np.diff(costs) < 0.01 * costs[0]).all()
-    for first, second in zip(runs, again, strict=True):
+    for first, second in zip(runs[:2], again, strict=True):
         assert all((first[name] == second[name]).all() for name in first)
 
 
@@ -113,14 +113,6 @@ def test_textbook_learning_moves_the_motor_and_not_the_tip():
     motor = [run["motor_rms_mrad"].mean() for run in runs]
     assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
     assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
-
-
-def test_the_motors_error_is_that_of_the_joint():
-    run, env = rollout(PaperController(), 2, seed=SEED, randomization="ideal"), BeltArmEnv(randomization="ideal")
-    env.reset(seed=SEED)
-    wanted = [env.reference(t).angle for t in run.time]
-    expected = 1e3 * np.sqrt(np.mean((run.state[:, 0, 0] / 88 - wanted) ** 2))
-    assert metrics_of(run)["motor_rms_mrad"][0] == pytest.approx(expected, rel=1e-9)
 
 
 # Observers

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 from scipy.stats.mstats import trimmed_mean_ci
 
-from eval.comparison import statistics
 from eval.comparison.statistics import (
     RESAMPLES,
     all_paired,
@@ -133,11 +132,3 @@ def rejected(p_values: list[float], level: float) -> set[int]:
 def test_holm_rejects_what_the_procedure_does(thousands: list[int], level: float):
     p_values = [(p + 0.3) / 4001 for p in thousands]  # never just at a bound
     assert {k for k, p in enumerate(holm(p_values)) if p <= level} == rejected(p_values, level)
-
-
-def test_many_scenarios_are_resampled_in_batches(monkeypatch: pytest.MonkeyPatch):
-    """Samples of one seed are the same; memory is that of a batch."""
-    values = np.random.default_rng(0).random((1, 501))
-    before = resampled(values)
-    monkeypatch.setattr(statistics, "_AT_ONCE", 501 * 100)
-    assert np.array_equal(resampled(values), before)

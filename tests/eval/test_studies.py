@@ -17,7 +17,18 @@ from eval.studies import _frame, _pages
 NAMES = _frame.names()
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "learning"])  # which has a test of its own
+SLOW = ("loops", "paper", "physics", "tails")
+"""Studies of which tests of their own run what measures."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+        for name in NAMES
+        if name != "learning"  # which has a test of its own
+    ],
+)
 def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The study `steps` to the last dot; of the paper without its alternatives, which `test_paper.py` tries."""
     if name != "steps":

@@ -52,13 +52,6 @@ def test_the_first_sentence_is_of_the_main_split(costs: tuple[float, float], wor
     assert all(word in first for word in ("net", "pid", "nominal", *words))
 
 
-def test_every_split_and_what_the_arms_end_does_are_told():
-    _, splits, vibration, error = verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
-    assert all(word in splits for word in ("1 of 2 splits (nominal)", "1 of 2 splits (payload)"))
-    assert "60.00 mm" in vibration and "100.00 mm" in vibration and "payload" in vibration
-    assert "60.00 mm" in error
-
-
 def test_the_protocol_says_who_is_compared():
     """Whoever is best on these scenarios: choosing on them would favour whom it chooses."""
     classical = outcome("adaptive", "classical", 100.0), outcome("lucky", "classical", 90.0)

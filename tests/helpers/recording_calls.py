@@ -84,6 +84,10 @@ class Calls:
     kernels: dict[str, Kernel] = field(default_factory=dict)
     _counts: Counter[Any] = field(default_factory=Counter)
 
+    def count_anew(self) -> None:
+        """Record first calls again."""
+        self._counts.clear()
+
     def recorded(self, kernel: Kernel, run: Callable[..., Any]) -> Callable[..., Any]:
         """Return what calls a kernel and records it."""
         name = f"{kernel.__module__}:{kernel.py_func.__qualname__}"

@@ -15,9 +15,9 @@ from baselines.engines.parallel import Channel, StopRequest
 
 NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
 ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
-OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
+OFF_POLICY = {"batch_size": 64, "buffer_size": 200, "learning_starts": 32, "gradient_steps": 1}
 REINFORCEMENT = {
-    **{"arms": 8, "total_steps": 512, "validation_every": 256},
+    **{"arms": 8, "total_steps": 256, "validation_every": 128},
     **{"hold": 40, "hidden": (8,), "validation_arms": 4},
 }
 IMITATION = {
@@ -36,13 +36,8 @@ TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 
 
 def tiny(name: str, out: Path, **options: Any) -> Any:
-    """A few arms and updates, and two validations; the replay buffer comes round."""
+    """A few arms and updates, and two validations; the replay buffer comes round. For PPO they are TINY."""
     return ALGORITHMS[name](**{"out": out, **OWN[name], **options})
-
-
-def as_script(out: Path, **options: Any) -> Any:
-    """What a script makes of TINY."""
-    return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
 
 
 def run(config: RunConfig, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:

@@ -82,7 +82,7 @@ def test_hashes_are_of_the_pinned_versions():
     assert torch and set(hashed) == {one.replace(".py=", "-py=") for one in pinned - torch}
 
 
-# The wheel
+# The wheel, for which all kernels are translated
 
 
 def build(folder: Path, checkout: Path, *kinds: str, umask: int = 0o022) -> dict[str, Path]:
@@ -101,6 +101,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return build(tmp_path_factory.mktemp("dist"), ROOT, "--sdist", "--wheel")
 
 
+@pytest.mark.slow
 def test_wheel_holds_the_environment_alone_and_asks_for_its_dependencies(built: dict[str, Path]):
     with zipfile.ZipFile(built[".whl"]) as archive:
         names = archive.namelist()
@@ -160,6 +161,7 @@ print(envs.step(numpy.zeros((2, 1)))[0].shape)
 """
 
 
+@pytest.mark.slow
 def test_installed_wheel_runs_an_episode_elsewhere(built: dict[str, Path], tmp_path: Path):
     """As C, without a compiler and a cache."""
     folder = tmp_path / "installed"

@@ -12,15 +12,13 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
 
 import pytest
 from commands import mistake, stopped
 
 from agents.learners import ppo
-from agents.learners.registry import ALGORITHMS
 from agents.runs.checkpoint import COMMAND, RunFolder
 from agents.runs.command_line import begun_options, main
 from baselines.tools.command import this_python
@@ -119,28 +117,6 @@ def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool
     told = (*told, "--total-steps", "800000", "--hidden", "16", "16")
     expected = replace(config, resume=True, total_steps=800_000, hidden=(16, 16))
     assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == expected
-
-
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_every_option_is_noted_so_that_it_can_be_resumed(name: str, tmp_path: Path) -> None:
-    """With values that are not the defaults."""
-    kind = ALGORITHMS[name]
-    others: dict[str, Any] = {"out": tmp_path / "run", "resume": True, "overwrite": False}
-    for each in fields(kind):
-        allowed = get_args(get_type_hints(kind)[each.name])
-        if each.name in others:
-            continue
-        if isinstance(each.default, int | float):  # of a flag, the other
-            others[each.name] = type(each.default)(not each.default) if each.default in (0, 1) else 2 * each.default
-        elif isinstance(each.default, tuple):
-            others[each.name] = (7, 9)
-        elif isinstance(each.default, str):
-            others[each.name] = next((word for word in allowed if word != each.default), "another")
-        else:
-            others[each.name] = 3 if int in allowed else "somewhere"
-    config = kind(**others)
-    note_options(config.out / COMMAND, config)
-    assert parse(kind, arguments=("--out", str(config.out), "--resume"), begun=begun_options) == config
 
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])

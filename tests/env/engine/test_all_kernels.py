@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from networks import SHAPES, episodes, lively
 from recording_calls import recorded_calls
 
 from agents.policy.bundle import POLICIES, load_controller
+from agents.policy.network import NetworkPolicy
 from baselines.guard.controller import guarded
 from baselines.registry import CONTROLLERS, FELT
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv
@@ -58,6 +60,11 @@ def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
             drive(make(), "encoder")
         for make in FELT.values():
             drive(make(), "accelerometer")
+        for shape in SHAPES.values():
+            calls.count_anew()
+            policy, memory = NetworkPolicy(lively(shape).weights()), None
+            for seen in episodes(shape, 9, 2):
+                _, memory = policy.predict(seen, memory)
     refused = {name: kernel._refused for name, kernel in calls.kernels.items() if kernel._refused}
     assert not refused and all(kernel._variants for kernel in calls.kernels.values()) and len(calls.kernels) > 35
     path = tmp_path / "calls"

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bundles import Exploit
 from commands import mistake, stopped
 
 from agents.policy.actor import Actor
@@ -215,16 +216,6 @@ def watched() -> Iterator[list[tuple[str, str]]]:
 
 def example(*arguments: str, folder: Path) -> tuple[int, str]:
     return stopped(lambda: runpy.run_path(str(EXAMPLE), run_name="__main__"), arguments, folder)
-
-
-class Exploit:
-    """Its pickle, loaded, creates a file."""
-
-    def __init__(self, target: Path) -> None:
-        self.target = target
-
-    def __reduce__(self) -> Any:
-        return (Path.touch, (self.target,))
 
 
 @pytest.fixture

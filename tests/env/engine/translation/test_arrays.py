@@ -67,19 +67,6 @@ def parts(a: Any, k: int) -> float:
     return total + a.shape[0] * len(a)
 
 
-@case((row(8), 2, 3), (row(8), 0, 8), (row(8), 5, 1), (row(8), 3, 0), (row(8), 6, 5))
-def runtime_slices(a: Any, start: int, count: int) -> tuple[float, int]:
-    part = a[start : start + count]
-    part += 1.0
-    part[:] = part * 2.0 - part
-    rest = a[start:]
-    total = 0.0
-    for k in range(len(rest)):
-        total = 0.5 * total + rest[k]
-    a[start : start + count] = 7.0
-    return total, len(part)
-
-
 def mean(values: Any) -> float:
     """Return the mean of some numbers."""
     total = 0.0

@@ -98,16 +98,6 @@ def wrapped(n: Any) -> tuple[bool, ...]:
     return a < 0, b > 0, c == -n[0], -n[1] < 0, n[1] // n[3] < 0, abs(n[1]) < 0, n[1] - n[2] == 1
 
 
-@case((2.7,), (-2.7,), (-0.5,), (3e9,), (-3e9,), (1e15,))
-def whole_parts(x: float) -> tuple[int, ...]:
-    return int(x), math.floor(x), math.ceil(x), int(x) // 2, abs(int(x)), int(x) % 7
-
-
-@case((5,), (-5,), (0,), (2**40 + 5,))
-def bits(k: int) -> tuple[Any, ...]:
-    return k & 3, k | 8, (k & 1) == 1, k & -2, k % 4, k // 8
-
-
 @case((wholes(1, 2, 3), 0.7))
 def wholes_of_reals(n: Any, x: float) -> tuple[int, ...]:
     n[0] += x

@@ -166,22 +166,6 @@ def end_changed_within(n: int) -> tuple[int, int]:
     return turns, n
 
 
-@case(*[(n,) for n in range(9)])
-def left_and_gone_on(n: int) -> int:
-    total = 0
-    for k in range(10):
-        if k == 2:
-            continue
-        if k > n:
-            break
-        for j in range(4):
-            if j == k:
-                break
-            total += j
-        total = 2 * total + k
-    return total
-
-
 def halved(x: float) -> float:
     """Return a half."""
     return x / 2.0 if x > 1.0 else 0.0
@@ -209,16 +193,6 @@ def calls_where_asked(x: float) -> tuple[Any, ...]:
     both = x > 1.0 and halved(x) < 10.0 and halved(halved(x)) < 1.0
     chosen = halved(x) if x > 1.0 else halved(-x) - 1.0
     return either, both, chosen, 1.0 < halved(x) < x
-
-
-@case(*[(x,) for x in (1.0, 2.5)])
-def over_a_tuple(x: float) -> float:
-    total = 0.0
-    for factor in (1.0, 2.0, x):
-        total = total * 3.0 + factor
-    for first, second in ((1, 2.0), (3, 4.0)):
-        total += first * second
-    return total
 
 
 @case(*[(c, x) for c in (-1.0, 1.0) for x in (2.0, 3.0)])
@@ -337,16 +311,6 @@ def doubled(x: Any) -> Any:
 @case(*[(3, 0.1)])
 def called_with_types(n: int, x: float) -> tuple[Any, ...]:
     return doubled(n) // 4, doubled(x), doubled(int(x > 0.0)) // 2, doubled(np.float64(n)) / 4
-
-
-@case(*[(3.0, 0.1)])
-def names_of_c(double: float, real: float) -> float:
-    int32_t, NULL, R, fmod, isnan = 2.0, double, real, 1.5, 3.0  # noqa: N806
-    for register in range(2):
-        NULL = NULL + register * R  # noqa: N806
-        R = NULL % fmod  # noqa: N806
-    while_ = 1.0 if math.isnan(R) else 2.0
-    return int32_t * NULL + R * isnan + max(fmod, while_)
 
 
 ELEMENTARY: dict[Kernel, list[tuple[float, float]]] = {
