@@ -78,13 +78,18 @@ def _run_law(
 
 
 class ScalarController(ClassicalController[Floats]):
-    """Base of controllers whose law is a kernel for one arm with a row of numbers for its memory."""
+    """Base of controllers whose law is a kernel for one arm with a row of numbers for its memory.
+
+    A subclass names its `arm_law` and sets `_design`, or writes `kernel`.
+    """
 
     memory_size: ClassVar[int]
+    arm_law: ClassVar[Callable[..., float]]  # see `LawKernel.law`
+    _design: Any
 
-    @abstractmethod
     def kernel(self) -> LawKernel:
         """The law for one arm, with a memory of shape (memory_size,)."""
+        return LawKernel(type(self).arm_law, self._design, np.zeros(self.memory_size))
 
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.engine import inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import ROUNDER
 
 
@@ -108,34 +108,26 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     if observations.ndim != 2 or observations.shape[1] < size:
         remedy = "" if sensors == "encoder" else f": use an environment with sensors={sensors!r}"
         raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
-    # Each entry of all arms in a row: laws read it faster.
-    seen = np.multiply(observations[:, :size].T, observation.scales(sensors)[:, np.newaxis], order="C")
-    extra = np.ascontiguousarray(seen[_ENCODER_SIZE:].T)
+    seen = np.empty((len(Sample._fields), len(observations)))
+    _write_samples(np.ascontiguousarray(observations[:, :_ENCODER_SIZE]), params.torque_limit, seen)
+    extra = observations[:, _ENCODER_SIZE:size] * observation.scales(sensors)[_ENCODER_SIZE:]
+    start = _MOVE_FIELD
     return Reading(
-        angle_error=seen[_MEASURED],
-        speed_error=seen[_MEASURED + 1],
-        motor_angle=seen[_MEASURED + 3],
-        motor_speed=seen[_MEASURED + 2],
-        reference_angle=seen[_REFERENCE],
-        reference_speed=seen[_REFERENCE + 1],
-        reference_acceleration=seen[_REFERENCE + 2],
-        move=np.ascontiguousarray(seen[_MOVE : _MOVE + 4].T),
-        step=np.rint(seen[_MOVE + 4] / CONTROL_PERIOD).astype(np.intp),
-        last_command=seen[_MOVE + 5] * params.torque_limit,
+        *seen[:start],
+        move=np.ascontiguousarray(seen[start : start + 4].T),
+        step=seen[start + 4].astype(np.intp),
+        last_command=seen[start + 5],
         torsion=extra if sensors == "full" else None,
         acceleration=extra if sensors == "accelerometer" else None,
     )
 
 
-def last_share(now: Reading, added: Floats | None, begins: Flags) -> Floats:
-    """Law's own share of the last command [N m], as far as the limit let it through; zero where an episode begins.
-
-    Args:
-        now: Measurements of n arms.
-        added: What was commanded beside it [N m], shape (n,); None before the first command.
-        begins: Which arms begin an episode, shape (n,).
-    """
-    return np.zeros(len(begins)) if added is None else np.where(begins, 0.0, now.last_command - added)
+@compiled
+def _write_samples(observations: Singles, torque_limit: float, samples: Floats) -> None:
+    """Write the samples of n arms, a row for each field: laws read it faster."""
+    for i in range(len(observations)):
+        for k, value in enumerate(sample_from(observations[i], torque_limit)):
+            samples[k, i] = value
 
 
 def chosen(which: Flags, these: Any, others: Any) -> Any:

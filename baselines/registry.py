@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 from baselines.gains import Tunable, tuned
+from baselines.optimal.accelerometer import AccelerometerAdaptiveController, AccelerometerPreviewController
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.optimal.felt import FeltAdaptiveController, FeltPreviewController
 from baselines.optimal.lqg import LqgController, LqgGains
 from baselines.optimal.mpc import MpcController, MpcGains
 from baselines.optimal.preview import PreviewController, PreviewGains
@@ -52,10 +52,6 @@ def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
     return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains), params=params)
 
 
-def _felt_controller(name: str, params: ArmParams | None = None) -> Any:
-    return _FELT[name](tuned(name, TUNABLE[name].gains), params=params)
-
-
 CONTROLLERS: dict[str, Callable[..., Any]] = {
     "paper": PaperController,
     "rigid": rigid_controller,
@@ -72,8 +68,15 @@ DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat
 They stay available by name; comparisons leave them out unless they are named.
 """
 
-_FELT = {"adaptive": FeltAdaptiveController, "preview": FeltPreviewController}
-FELT: dict[str, Callable[..., Any]] = {name: partial(_felt_controller, name) for name in _FELT}
+
+def _with_accelerometer(kind: Callable[..., Any], name: str, params: ArmParams | None = None) -> Any:
+    return kind(tuned(name, TUNABLE[name].gains), params=params)
+
+
+WITH_ACCELEROMETER: dict[str, Callable[..., Any]] = {
+    "adaptive": partial(_with_accelerometer, AccelerometerAdaptiveController, "adaptive"),
+    "preview": partial(_with_accelerometer, AccelerometerPreviewController, "preview"),
+}
 """The same with an accelerometer in their filters and the gains found without, for `sensors="accelerometer"`: never
 ranked among those that have the encoder alone.
 """

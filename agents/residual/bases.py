@@ -16,7 +16,7 @@ from baselines.controller import LawKernel
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
 from baselines.reading import Sample
-from baselines.registry import FELT
+from baselines.registry import WITH_ACCELEROMETER
 from baselines.tools.command import require_known
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -58,7 +58,7 @@ def make_base(name: str, sensors: str = "encoder") -> Controller:
         ValueError: If there is none, naming the nearest one.
     """
     require_known((name,), BASES, "no base controller {}")
-    return (FELT if sensors == "accelerometer" and name in FELT else BASES)[name]()
+    return (WITH_ACCELEROMETER if sensors == "accelerometer" and name in WITH_ACCELEROMETER else BASES)[name]()
 
 
 def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]]:

@@ -28,8 +28,6 @@ from gymnasium.error import DependencyNotInstalled
 from baselines.engines.task import THREADS, Workers
 from baselines.tools.provenance import code_and_packages
 
-ATTEMPTS = 3
-"""How often a task is begun in all: machines of a cluster may be taken away at any time."""
 _ROOT = Path(__file__).resolve().parents[2]
 _MOST = 1000  # tasks with Ray at a time: more than there are cores for, as a cluster may grow
 _PATIENCE = 10.0  # with an address that does not answer [s]
@@ -75,14 +73,14 @@ def ray_workers(address: str | None, jobs: int | None, threads: int) -> Iterator
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
         news, stops = (Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here}) for _ in range(2))
         try:
-            yield Workers(submit, is_death, news, stops, jobs or _MOST, ATTEMPTS, one_ends_all=False)
+            yield Workers(submit, is_death, news, stops, jobs or _MOST, one_ends_all=False)
         except ray.exceptions.RayTaskError as error:  # before a task, which catches its own
             reason = str(error).strip().splitlines()[-1]
             remedy = "every machine needs the same commit and the same packages, see docs/guide/machines.md"
             raise ValueError(f"a worker cannot take tasks ({reason}): {remedy}") from None
         except ray.exceptions.RayError as error:
-            words = " ".join(str(error).split())
-            raise OSError(f"the cluster of Ray was lost ({words}); what was saved is kept") from None
+            text = " ".join(str(error).split())
+            raise OSError(f"the cluster of Ray was lost ({text}); what was saved is kept") from None
 
 
 @contextmanager

@@ -71,7 +71,7 @@ def run_side_by_side(
         tasks: Tasks by name. On a request to stop, those that have not begun are left out.
         jobs: Tasks at a time, each in a worker process; by default one per core. Locally, one task, or 1, runs in this
             process.
-        engine: What runs the tasks. On Ray a task is begun again twice where its process or machine dies.
+        engine: What runs the tasks. A task whose process or machine dies is begun again once.
         threads: Threads of the numerical libraries in a worker.
         stop: Passed on to the tasks, see `stop_on_signals`.
         tell: Called in this thread with a task's name and its news, all of them before its result.
@@ -97,7 +97,7 @@ def _outcomes(
 
     Where one process that dies takes the others along, any task that ran may be to blame: each is begun again alone.
     """
-    waiting, deaths, told = list(tasks), Counter[str](), False
+    waiting, deaths, passed_on = list(tasks), Counter[str](), False
     running: dict[Future[bytes], str] = {}
 
     def fill() -> None:
@@ -112,8 +112,8 @@ def _outcomes(
     fill()
     while running:
         ended, _ = wait(running, _POLL, FIRST_COMPLETED)
-        if stop.made and not told:
-            workers.stops.put(told := True)
+        if stop.made and not passed_on:
+            workers.stops.put(passed_on := True)
         with suppress(queue.Empty):
             while True:
                 tell(*pickle.loads(workers.news.get_nowait()))
@@ -126,7 +126,7 @@ def _outcomes(
             if not workers.is_death(error):
                 raise error
             deaths[name] += 1
-            if deaths[name] < workers.attempts and not stop.made:
+            if deaths[name] == 1 and not stop.made:
                 waiting.insert(0, name)
             else:
                 broken_off = BrokenOff("the process broke off, for want of memory perhaps")
@@ -155,7 +155,7 @@ def _processes(jobs: int, threads: int) -> Iterator[Workers]:
     with _blocked_signals():
         manager.start(end_with_parent)
     try:
-        yield Workers(submit, is_death, manager.Queue(), manager.Queue(), jobs, attempts=2, one_ends_all=True)
+        yield Workers(submit, is_death, manager.Queue(), manager.Queue(), jobs, one_ends_all=True)
     except BaseException:
         executor().shutdown(kill_workers=True)
         raise

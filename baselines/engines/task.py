@@ -74,10 +74,10 @@ class Failure:
     @property
     def message(self) -> str:
         """The error in one line, with its kind and place unless it is about options or files."""
-        words = " ".join(str(self.error).split())
+        text = " ".join(str(self.error).split())
         if isinstance(self.error, (OSError, ValueError, Interrupted, BrokenOff)):
-            return words
-        return " ".join([f"{type(self.error).__name__}: {words}", *getattr(self.error, "__notes__", [])[:1]])
+            return text
+        return " ".join([f"{type(self.error).__name__}: {text}", *getattr(self.error, "__notes__", [])[:1]])
 
     @property
     def resumable_message(self) -> str:
@@ -155,7 +155,6 @@ class Workers(NamedTuple):
     news: Any  # queues of the calls
     stops: Any
     room: int  # calls that may be with them at a time
-    attempts: int  # how often a task is begun in all where its process dies
     one_ends_all: bool  # whether a process that dies takes the others along
 
 

@@ -30,19 +30,20 @@ Where the motor sticks, as behind a dead encoder, innovations say nothing of the
 of x leaves its bounds, or its standard deviation exceeds them, x is not known any more, and the filter begins anew with
 an arm at rest at the measured angle.
 
-What an accelerometer feels depends on x at both ends of the sample (`baselines.estimation.felt`). So it is predicted
-with x, as two more entries that last for one sample: their rows of F and Q follow from the same simulations, and
-correct what stood before by their covariance with it. These innovations are watched too: the readings count as W times
-as noisy as the data sheet says,
+What an accelerometer shows depends on x at both ends of the sample (`baselines.estimation.accelerometer`). So it is
+predicted with x, as two more entries that last for one sample: their rows of F and Q follow from the same simulations,
+and correct what stood before by their covariance with it. These innovations are watched too: the readings count as W
+times as noisy as the data sheet says,
 
     W <- max(1, W (1 + 0.05 (min(nu^2 / S, 10) - 1)))
 
-for each reading, so that nu^2 / S is 1 in the mean or below. Where W > 100, what is felt is not this arm's: the filter
+for each reading, so that nu^2 / S is 1 in the mean or below. Where W > 100, the readings are not this arm's: the filter
 begins anew with the nominal constants, and does not listen to the accelerometer any more in this episode.
 """
 
 from __future__ import annotations
 
+from baselines.estimation.accelerometer import AXES
 from baselines.estimation.believed_arm import (
     BIAS,
     DIFFERENCED,
@@ -55,7 +56,6 @@ from baselines.estimation.believed_arm import (
     SIZE,
     STEPS,
 )
-from baselines.estimation.felt import AXES
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
 from baselines.models.linear import between, place
 from beltarm_env.arm import COLUMN
@@ -77,7 +77,7 @@ _AT_ONCE = 5  # rows of the covariance
 
 @compiled
 def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Floats) -> None:
-    """Write the derivatives by z of x after a sample and of what is felt over it, see `_propagate`.
+    """Write the derivatives by z of x after a sample and of the accelerometer's readings over it, see `_propagate`.
 
     Args:
         predicted: As `simulate` writes it, of one arm.
@@ -152,15 +152,16 @@ def _five(row: Floats, m: int) -> tuple[float, float, float, float, float]:
 
 
 @compiled
-def _propagate(covariance: Floats, kept: float, room: Room) -> None:
+def _propagate(covariance: Floats, decay: float, room: Room) -> None:
     """Turn a covariance into that before the measurement: F P F' + Q.
 
-    F is the unit matrix but for its rows of x, of what is felt, which come last, and of d; Q is of x and of what is
-    felt alone, from what torque and torsional acceleration do to them, each by its standard deviation: `Room.noise`.
+    F is the unit matrix but for its rows of x, of the accelerometer's readings, which come last, and of d; Q is of x
+    and of the readings alone, from what torque and torsional acceleration do to them, each by its standard deviation:
+    `Room.noise`.
 
     Args:
         covariance: With an accelerometer, there are AXES more rows and columns, which are written.
-        kept: Share of d that is left.
+        decay: Share of d that is left.
         room: With noise and Jacobian; changed.
     """
     jacobian, half, noise = room.jacobian, room.half, room.noise
@@ -179,16 +180,16 @@ def _propagate(covariance: Floats, kept: float, room: Room) -> None:
         for j in range(4, size):
             covariance[to, j] = covariance[j, to] = half[i, j]
     for i in range(size + rows - 4):
-        covariance[i, DISTURBANCE] *= kept
+        covariance[i, DISTURBANCE] *= decay
     for j in range(size + rows - 4):
-        covariance[DISTURBANCE, j] *= kept
+        covariance[DISTURBANCE, j] *= decay
 
 
 @compiled
 def _write_noise(
     design: Design, surprise: float, predicted: Floats, measured: float, resolution: float, noise: Floats
 ) -> bool:
-    """Write what the process noise does to x and to what is felt, and return whether the motor holds.
+    """Write what the process noise does to x and to the accelerometer's readings, and return whether the motor holds.
 
     Args:
         design: Of the filter.
@@ -220,18 +221,17 @@ def _write_noise(
 
 
 @compiled
-def begin_track(design: Design, tracks: Tracks, arm: int, covariance: Floats, angle: float, resolution: float) -> None:
+def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
     """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad].
 
     Args:
         design: Of the filter.
-        tracks: Changed, but for the covariances.
+        tracks: Changed.
         arm: Which of them.
-        covariance: Of its z, written.
         angle: [rad]
         resolution: [rad]
     """
-    z, size = tracks.mean[arm], len(design.mean)
+    z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
     for i in range(size):
         z[i] = design.mean[i]
         for j in range(size):
@@ -239,13 +239,13 @@ def begin_track(design: Design, tracks: Tracks, arm: int, covariance: Floats, an
     z[0] = angle
     deviation = resolution / _ROUNDING
     covariance[0, 0] = deviation * deviation
-    tracks.surprise[arm] = tracks.unrest[arm] = 1.0
+    tracks.surprise[arm] = tracks.noise_factor[arm] = 1.0
 
 
 @compiled
-def _watch(design: Design, tracks: Tracks, arm: int, covariance: Floats, unrest: float, measured: float) -> None:
+def _watch(design: Design, tracks: Tracks, arm: int, noise_factor: float, measured: float) -> None:
     """Keep z within its bounds; where a filter is lost, let it begin with the nominal constants again, less sure."""
-    z = tracks.mean[arm]
+    z, covariance = tracks.mean[arm], tracks.covariance[arm]
     known = True
     for i in range(4):
         known = known and abs(z[i]) <= HIGHEST[i] and covariance[i, i] <= HIGHEST[i] * HIGHEST[i]
@@ -253,59 +253,55 @@ def _watch(design: Design, tracks: Tracks, arm: int, covariance: Floats, unrest:
         z[0], z[1], z[2], z[3] = measured, 0.0, 0.0, 0.0
     for i in range(len(design.mean)):
         z[i] = min(max(z[i], LOWEST[i]), HIGHEST[i])
-    unrest = _DEAF if tracks.unrest[arm] >= _DEAF else max(unrest, 1.0)
-    mistrusted = _MISTRUSTED < unrest < _DEAF
+    noise_factor = _DEAF if tracks.noise_factor[arm] >= _DEAF else max(noise_factor, 1.0)
+    mistrusted = _MISTRUSTED < noise_factor < _DEAF
     if mistrusted or not known or tracks.surprise[arm] > _LOST:
         angle, speed, torsion, torsion_speed = z[0], z[1], z[2], z[3]
-        begin_track(design, tracks, arm, covariance, angle, 0.0)
+        begin_track(design, tracks, arm, angle, 0.0)
         z[1], z[2], z[3] = speed, torsion, torsion_speed
         for i in range(4):
             covariance[i, i] = _LESS_SURE[i]
-    tracks.unrest[arm] = _DEAF if mistrusted else unrest
+    tracks.noise_factor[arm] = _DEAF if mistrusted else noise_factor
 
 
 @compiled
-def correct(
-    design: Design, tracks: Tracks, arm: int, covariance: Floats, seen: Inputs, resolution: float, room: Room
-) -> None:
+def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, room: Room) -> None:
     """Correct one filter by its measurement, once its arm has been simulated.
 
     Args:
         design: Of the filters.
-        tracks: Changed, but for the covariances.
+        tracks: With room for AXES more entries of z with an accelerometer; changed.
         arm: Which of them.
-        covariance: Of its z, with room for AXES more rows and columns with an accelerometer; changed. There may be more
-            columns than that, which are not used: so all rows are whole vectors.
         seen: Measurements.
-        resolution: Of the encoder [rad].
-        room: With the simulations, see `believed_motion.simulate`; changed.
+        room: With the simulations, see `believed_motion.simulate`, and the encoders' resolutions; changed.
     """
-    z, predicted = tracks.mean[arm], room.predicted[arm]
+    z, covariance, predicted = tracks.mean[arm], tracks.covariance[arm], room.predicted[arm]
+    resolution = room.resolution[arm]
     measured, size, axes = seen.angle[arm], len(design.mean), len(z) - len(design.mean)
     _write_jacobian(predicted, room.simulation.shapes, arm, room.jacobian)
     holds = _write_noise(design, tracks.surprise[arm], predicted, measured, resolution, room.noise)
-    _propagate(covariance, design.kept, room)
+    _propagate(covariance, design.decay, room)
     for i in range(4):
         z[i] = predicted[i, 0]
     for axis in range(axes):
         z[size + axis] = predicted[4 + axis, 0] + z[BIAS + axis]
-    z[DISTURBANCE] *= design.kept
+    z[DISTURBANCE] *= design.decay
     for i in range(4, size):
         covariance[i, i] += design.growth[i]
     innovation, rounding = measured - z[0], resolution * resolution
     covariance[0, 0] += rounding / 120  # keeps the angle open to the encoder
     variance = covariance[0, 0] + rounding / 12
-    unrest = tracks.unrest[arm]
+    noise_factor = tracks.noise_factor[arm]
     if not holds:
         tracks.surprise[arm] += _WATCH * (innovation * innovation / variance - tracks.surprise[arm])
     _learn(z, covariance, 0, innovation, variance, room)
     for axis in range(axes):
-        innovation = seen.felt[arm, axis] - z[size + axis]
-        noise, mistrust = seen.felt_variance[arm, axis], tracks.unrest[arm]
+        innovation = seen.acceleration[arm, axis] - z[size + axis]
+        noise, mistrust = seen.acceleration_variance[arm, axis], tracks.noise_factor[arm]
         variance = covariance[size + axis, size + axis] + noise * (mistrust * mistrust)
         shock = min(innovation * innovation / variance, _SHOCK)
-        unrest *= 1 + _WATCH * (shock - 1)
+        noise_factor *= 1 + _WATCH * (shock - 1)
         _learn(z, covariance, size + axis, innovation, variance, room)
     if holds:
         z[1] = 0.0
-    _watch(design, tracks, arm, covariance, unrest, measured)
+    _watch(design, tracks, arm, noise_factor, measured)

@@ -10,7 +10,7 @@
     d               torque at the motor that nothing else explains [N m]
     c_n, s_n        torque ripple, the sum over its possible orders n of s_n sin(n theta_a) + c_n cos(n theta_a) [N m]
 
-With an accelerometer on the arm's end (`baselines.estimation.felt`) there are more, and z is longer:
+With an accelerometer on the arm's end (`baselines.estimation.accelerometer`) there are more, and z is longer:
 
     e_s, e_c        kinematic error of the joint, e_s sin(2 theta_a) + e_c cos(2 theta_a) [rad]
     b               zero-g output of the accelerometer along and across the hand [m/s^2]
@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.estimation.felt import AXES
+from baselines.estimation.accelerometer import AXES
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
@@ -56,7 +56,7 @@ RIPPLE = slice(DISTURBANCE + 1, DISTURBANCE + 1 + 2 * len(ORDERS))  # the sines,
 SIZE = RIPPLE.stop
 ERROR_SINE, ERROR_COSINE = SIZE, SIZE + 1
 BIAS = SIZE + 2  # along the hand, and after it across
-FELT_SIZE = BIAS + AXES
+ACCELEROMETER_SIZE = BIAS + AXES
 """Entries of z with an accelerometer."""
 DIFFERENCED = RIPPLE.start
 """First entries of z, for which derivatives are differences; those of the ripple follow from that of d."""
@@ -66,13 +66,13 @@ STEPS = np.array([1e-2, 1e-1, 1e-4, 1e-2, *[1e-2] * len(IDENTIFIED), *[1e-2] * 6
 SHORTEST, LONGEST = 0.02, 6.0
 """Delay and, of the former, current loop [samples]. A shorter one would be none, and so would its derivative."""
 _RIPPLE = [0.02] * (RIPPLE.stop - RIPPLE.start)
-_FELT = [2e-3, 2e-3, 2 * ZERO_G, 2 * ZERO_G]
+_ACCELEROMETER = [2e-3, 2e-3, 2 * ZERO_G, 2 * ZERO_G]
 LOWEST = np.array(
     [-300, -2000, -2, -200, -0.9, -1.4, -0.5, -2, -2, -0.7, SHORTEST, SHORTEST, -0.6, -0.6, -0.5, -0.3, -0.06]
-    + [-most for most in (*_RIPPLE, *_FELT)]
+    + [-most for most in (*_RIPPLE, *_ACCELEROMETER)]
 )
 HIGHEST = np.array(
-    [300, 2000, 2, 200, 1.8, 0.9, 0.6, 1.6, 1.6, 0.9, LONGEST, 2, 0.6, 0.6, 1.5, 0.3, 0.06, *_RIPPLE, *_FELT]
+    [300, 2000, 2, 200, 1.8, 0.9, 0.6, 1.6, 1.6, 0.9, LONGEST, 2, 0.6, 0.6, 1.5, 0.3, 0.06, *_RIPPLE, *_ACCELEROMETER]
 )
 """Bounds of z, far beyond any arm of the benchmark: an arm within them can be integrated."""
 
@@ -115,7 +115,7 @@ def take(beliefs: Floats, z: Floats) -> None:
 
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
-        z: A row of LANES for each entry, shape (SIZE * LANES,) or (FELT_SIZE * LANES,); written.
+        z: A row of LANES for each entry, shape (SIZE * LANES,) or (ACCELEROMETER_SIZE * LANES,); written.
     """
     for lane in range(len(beliefs)):
         for i in range(len(z) // LANES):
@@ -215,7 +215,7 @@ def ripple_torque(z: Floats, angle: float, speed: float) -> float:
     """Torque ripple [N m] over a sample that begins at a motor angle [rad], at a speed.
 
     Args:
-        z: Of the arm, shape (SIZE,) or (FELT_SIZE,).
+        z: Of the arm, shape (SIZE,) or (ACCELEROMETER_SIZE,).
         angle: [rad]
         speed: [rad/s]
     """

@@ -1,14 +1,14 @@
 """Motion over a sample of the arm that a filter believes in, `baselines.estimation.believed_arm`.
 
 It is that of the environment's integrator, with stiction and all effects of the drive. Ripple is held over a sample at
-its mean. Many arms, and copies of each, are simulated side by side (`baselines.estimation.believed_lanes`).
+its mean. Many arms, and copies of each, are simulated side by side (`baselines.estimation.simulation_lanes`).
 """
 
 from __future__ import annotations
 
+from baselines.estimation.accelerometer import mean_acceleration
 from baselines.estimation.believed_arm import STEPS, write_ripple
-from baselines.estimation.believed_lanes import Simulation, load, load_commands, load_copy, load_torques
-from baselines.estimation.felt import mean_acceleration
+from baselines.estimation.simulation_lanes import Simulation, load, load_commands, load_copy, load_torques
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
@@ -35,7 +35,7 @@ def move_on(commands: Floats, held: int, room: Simulation) -> None:
 
 
 @inlined
-def _feel(block: Floats, lane: int, velocities: Floats, result: Floats, arm: int, k: int) -> None:
+def _put_acceleration(block: Floats, lane: int, velocities: Floats, result: Floats, arm: int, k: int) -> None:
     """Put what an accelerometer feels of a lane below its x, over a period that began with a velocity of the end."""
     before = TipMotion(0.0, 0.0, velocities[lane], velocities[LANES + lane])
     x, plant, drive = load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane)
@@ -52,12 +52,12 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
         commands: Of the past [N m], latest first, shape (arms, HISTORY).
         room: Changed; holds the shapes of the arms' ripple then.
         result: x after the period, written: that of z, and then those of the copies, shape (arms or more, 4,
-            1 + DIFFERENCED). With an accelerometer, what it feels over the period stands below x, and there are
-            more columns: copies for the kinematic error, and what is felt of z where each entry of x is perturbed after
-            the period (elsewhere in these columns, nothing is written); shape (..., 4 + AXES, 1 + DIFFERENCED + 2 + 4).
+            1 + DIFFERENCED). With an accelerometer, its readings over the period stand below x, and there are more
+            columns: copies for the kinematic error, and the readings where each entry of x is perturbed after the
+            period (elsewhere in these columns, nothing is written); shape (..., 4 + AXES, 1 + DIFFERENCED + 2 + 4).
     """
-    arms, felt, block = len(beliefs), result.shape[1] > 4, room.block
-    simulations = result.shape[2] - 4 if felt else result.shape[2]
+    arms, accelerometer, block = len(beliefs), result.shape[1] > 4, room.block
+    simulations = result.shape[2] - 4 if accelerometer else result.shape[2]
     load(beliefs, nominal, room)
     load_commands(room.loaded, commands, 0)
     write_ripple(room.z, room.z, arms, room.shapes, room.ripple)
@@ -67,7 +67,7 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
         for k in range(begin, end):
             first = (k - begin) * arms
             load_copy(k, block[first:], room.actions[first:], beliefs, nominal, commands, room)
-        for lane in range((end - begin) * arms if felt else 0):
+        for lane in range((end - begin) * arms if accelerometer else 0):
             tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
             room.velocities[lane], room.velocities[LANES + lane] = tip.x_speed, tip.y_speed
         advance_built_block(block, room.work, room.actions, (end - begin) * arms, LUMPED)
@@ -76,10 +76,10 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
                 lane = (k - begin) * arms + arm
                 for i in range(4):
                     result[arm, i, k] = block[(at.STATE + i) * LANES + lane]
-                if felt:
-                    _feel(block, lane, room.velocities, result, arm, k)
+                if accelerometer:
+                    _put_acceleration(block, lane, room.velocities, result, arm, k)
                     for i in range(4 if k == 0 else 0):
                         state = block[(at.STATE + i) * LANES + lane]
                         block[(at.STATE + i) * LANES + lane] = state + STEPS[i]
-                        _feel(block, lane, room.velocities, result, arm, simulations + i)
+                        _put_acceleration(block, lane, room.velocities, result, arm, simulations + i)
                         block[(at.STATE + i) * LANES + lane] = state

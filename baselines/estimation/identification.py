@@ -11,36 +11,28 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from baselines.estimation.believed_arm import ARMS, DELAY, LOGS, other_torque
-from baselines.estimation.believed_lanes import Simulation, write_believed
-from baselines.estimation.felt import AXES, unfiltered
-from baselines.estimation.filter_design import Tracks, filter_design, inputs_of
+from baselines.estimation.accelerometer import AXES, unfiltered
+from baselines.estimation.believed_arm import ARMS, DELAY, LOGS
+from baselines.estimation.filter_design import Room, Tracks, filter_design, inputs_of, rooms_for
 from baselines.estimation.identify import (
     Estimate,
     Notes,
-    Workspace,
     begin,
     empty_estimate,
     empty_notes,
     estimate_all,
     identify_all,
-    vector_workspaces,
 )
+from baselines.estimation.simulation_lanes import Simulation, write_believed
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
-from beltarm_env.engine import compiled, in_threads
+from beltarm_env.engine import in_threads
 from beltarm_env.engine.blocks import none_taken, usual_threads
 
 Memory = TypeVar("Memory")
-
-
-@compiled
-def _write_other_torques(mean: Floats, states: Floats, torques: Floats) -> None:
-    for arm in range(len(states)):
-        torques[arm] = other_torque(mean[arm], states[arm, 0], states[arm, 1])
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,7 @@ class Belief:
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
     commands: Floats = field(repr=False)  # the last ones, latest first [N m], shape (n, HISTORY)
-    felt: Floats | None = field(default=None, repr=False)  # last accelerations [m/s^2], shape (n, 2), where measured
+    acceleration: Floats | None = field(default=None, repr=False)  # last readings [m/s^2], shape (n, 2), where measured
 
     @property
     def notes(self) -> Notes:
@@ -116,21 +108,21 @@ class ArmIdentifier:
     Args:
         params: The nominal arm.
         uncertainty: What is doubted.
-        felt: Whether there is an accelerometer on the arm's end, whose readings are used.
+        accelerometer: Whether there is an accelerometer on the arm's end, whose readings are used.
     """
 
-    def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None, felt: bool = False) -> None:
+    def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None, accelerometer: bool = False) -> None:
         self.params = params
         self.uncertainty = uncertainty or Uncertainty()
-        self.design = filter_design(params, self.uncertainty, felt)
-        self._felt = felt
-        self._rooms: tuple[Workspace, Floats] | None = None  # of the threads so far
+        self.design = filter_design(params, self.uncertainty, accelerometer)
+        self._accelerometer = accelerometer
+        self._rooms: Room | None = None  # of the threads so far
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
         table = np.empty((len(belief.count), len(FIELDS)))
-        (works, _), _ = self._shared(1)
-        room = Simulation(*(part[0] for part in works.filter.simulation))
+        rooms, _ = self._shared(1)
+        room = Simulation(*(part[0] for part in rooms.simulation))
         write_believed(belief.tracks.mean, self.design.nominal, room, table)
         return table
 
@@ -143,25 +135,26 @@ class ArmIdentifier:
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """
         count, size = len(begins), len(self.design.mean)
-        inputs, felt = inputs_of(reading.motor_angle, reading.last_command, begins), None
-        notes = empty_notes(count, size, AXES if self._felt else 0, np.empty)
-        if self._felt:
-            felt = reading.acceleration
-            assert felt is not None, "decoded with the acceleration, see `sensors`"
-            readings, variance = unfiltered(felt, felt if belief is None or belief.felt is None else belief.felt)
+        inputs, acceleration = inputs_of(reading.motor_angle, reading.last_command, begins), None
+        notes = empty_notes(count, size, AXES if self._accelerometer else 0)
+        if self._accelerometer:
+            acceleration = reading.acceleration
+            assert acceleration is not None, "decoded with the acceleration, see `sensors`"
+            before = belief.acceleration if belief is not None else None
+            readings, variance = unfiltered(acceleration, acceleration if before is None else before)
             inputs = inputs._replace(
-                felt=np.ascontiguousarray(readings.T), felt_variance=np.ascontiguousarray(variance.T)
+                acceleration=np.ascontiguousarray(readings.T), acceleration_variance=np.ascontiguousarray(variance.T)
             )
         if belief is None:
             inputs = inputs._replace(begins=np.ones(count, np.bool_))
-        before = notes if belief is None else belief.notes
+        last = notes if belief is None else belief.notes
         rooms, taken = self._shared(count)
-        same = self.design, inputs, before, belief is not None, notes, taken, *rooms
-        in_threads(identify_all, len(taken), *same)
+        in_threads(identify_all, len(taken), self.design, inputs, last, notes, taken, rooms)
         tracks = notes.tracks
-        if self._felt:
-            tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
-        return Belief(tracks, notes.counts, notes.angle, notes.commands, felt)
+        if self._accelerometer:
+            covariance = np.ascontiguousarray(tracks.covariance[:, :size, :size])
+            tracks = tracks._replace(mean=tracks.mean[:, :size].copy(), covariance=covariance)
+        return Belief(tracks, notes.counts, notes.angle, notes.commands, acceleration)
 
     def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
         """Reset the belief about arms that begin an episode, at rest at motor angles [rad] of shape (n,)."""
@@ -170,30 +163,18 @@ class ArmIdentifier:
         tracks = Tracks(*(part.copy() for part in belief.tracks))
         notes = Notes(tracks, belief.count.copy(), belief.angle.copy(), belief.commands.copy())
         begin(self.design, inputs_of(angle, angle, begins), notes)
-        return Belief(*notes, belief.felt)
+        return Belief(*notes, belief.acceleration)
 
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
         result = empty_estimate(len(belief.count))
-        (works, _), taken = self._shared(len(belief.count))
-        same = self.design, belief.notes, result, taken, works
-        in_threads(estimate_all, len(taken), *same)
+        rooms, taken = self._shared(len(belief.count))
+        in_threads(estimate_all, len(taken), self.design, belief.notes, result, taken, rooms)
         return result
 
-    def other_torques(self, belief: Belief, states: Floats) -> Floats:
-        """Torque ripple, and all else but friction that acts on the motors [N m], shape (n,).
-
-        Args:
-            belief: About n arms.
-            states: x at the beginning of the sample that is asked for, shape (n, 4).
-        """
-        torques = np.empty(len(states))
-        _write_other_torques(belief.tracks.mean, states, torques)
-        return torques
-
-    def _shared(self, count: int) -> tuple[tuple[Workspace, Floats], Integers]:
+    def _shared(self, count: int) -> tuple[Room, Integers]:
         """Return room for the threads that work for a number of arms, and what they have taken: nothing."""
         threads = usual_threads(count // ARMS)
-        if self._rooms is None or len(self._rooms[1]) < threads:
-            self._rooms = vector_workspaces(threads, self._felt)
+        if self._rooms is None or len(self._rooms.resolution) < threads:
+            self._rooms = rooms_for(threads, self._accelerometer)
         return self._rooms, none_taken(threads)

@@ -12,17 +12,16 @@ the commands given before: `estimate`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from baselines.estimation.arm_ekf import begin_track, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
-from baselines.estimation.believed_lanes import load, write_table
 from baselines.estimation.believed_motion import move_on, simulate
-from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for, room_of, vector_rooms
+from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_of
 from baselines.estimation.observer import QUANTUM
+from baselines.estimation.simulation_lanes import Simulation, load, write_table
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.engine import compiled
@@ -52,37 +51,11 @@ class Estimate(NamedTuple):
     table: Floats  # constants, columns as `ArmParams`, shape (m, len(FIELDS))
 
 
-class Workspace(NamedTuple):
-    """Room for identification; what it holds between two calls does not matter."""
-
-    filter: Room
-    resolution: Floats  # shape (m,), or (ARMS,)
-
-
-def workspace_for(count: int) -> Workspace:
-    """Room for `identify` of `count` arms, at most `ARMS`."""
-    return Workspace(room_for(count), np.zeros(count))
-
-
-def vector_workspaces(threads: int, felt: bool) -> tuple[Workspace, Floats]:
-    """Return room for the threads of `identify_all`, with accelerometers if `felt`, and that for covariances."""
-    rooms, covariances = vector_rooms(threads, felt)
-    return Workspace(rooms, np.zeros((threads, ARMS))), covariances
-
-
-@compiled
-def _workspace_of(works: Workspace, thread: int) -> Workspace:
-    """Room of one thread, see `vector_rooms`."""
-    return Workspace(room_of(works.filter, thread), works.resolution[thread])
-
-
-def empty_notes(count: int, size: int, more: int = 0, empty: Callable[..., Floats] = np.zeros) -> Notes:
-    """Room for what is known of `count` arms of which z has `size` entries, with room for some more.
-
-    `empty` makes an array of a shape.
-    """
-    tracks = Tracks(empty((count, size + more)), empty((count, size, size)), empty(count), empty(count))
-    return Notes(tracks, empty(count), empty(count), empty((count, HISTORY)))
+def empty_notes(count: int, size: int, more: int = 0) -> Notes:
+    """Room for what is known of `count` arms of which z has `size` entries, and room for some more."""
+    width = size + more
+    tracks = Tracks(np.zeros((count, width)), np.zeros((count, width, width)), np.zeros(count), np.zeros(count))
+    return Notes(tracks, np.zeros(count), np.zeros(count), np.zeros((count, HISTORY)))
 
 
 def empty_estimate(count: int) -> Estimate:
@@ -111,7 +84,7 @@ def common_count(count: float, change: float) -> float:
 @compiled
 def _begin(design: Design, notes: Notes, arm: int, angle: float) -> None:
     """Write what is known of an arm that begins an episode, at rest at a motor angle [rad]."""
-    begin_track(design, notes.tracks, arm, notes.tracks.covariance[arm], angle, COARSEST)
+    begin_track(design, notes.tracks, arm, angle, COARSEST)
     notes.counts[arm], notes.angle[arm] = 0.0, angle
     for k in range(HISTORY):
         notes.commands[arm, k] = 0.0
@@ -126,7 +99,7 @@ def begin(design: Design, inputs: Inputs, notes: Notes) -> None:
 
 
 @compiled
-def _note(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> bool:
+def _note(design: Design, inputs: Inputs, notes: Notes, room: Room) -> bool:
     """Note commands and the encoder's resolution; return whether there is an arm that does not begin an episode."""
     begin(design, inputs, notes)
     going = 0
@@ -138,42 +111,27 @@ def _note(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> bool
                 notes.commands[arm, k] = notes.commands[arm, k - 1]
             notes.commands[arm, 0] = inputs.command[arm]
         count = notes.counts[arm]
-        work.resolution[arm] = max(count, QUANTUM) if count > 0.0 else COARSEST
+        room.resolution[arm] = max(count, QUANTUM) if count > 0.0 else COARSEST
     return going > 0
 
 
 @compiled
-def _predict(design: Design, notes: Notes, work: Workspace) -> None:
-    """Simulate the sample, for `correct`."""
-    room = work.filter
-    simulate(notes.tracks.mean, design.nominal, notes.commands, room.simulation, room.predicted)
-
-
-@compiled
-def _end(design: Design, inputs: Inputs, notes: Notes) -> None:
-    """Let arms that begin an episode begin it, whatever was made of them as of the others, and note the angles."""
-    begin(design, inputs, notes)
-    for arm in range(len(inputs.angle)):
-        notes.angle[arm] = inputs.angle[arm]
-
-
-@compiled
-def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> None:
+def identify(design: Design, inputs: Inputs, notes: Notes, room: Room) -> None:
     """Bring what is known of up to `ARMS` arms up to this sample, in place.
 
     Args:
         design: Of the filters.
         inputs: Of this sample.
         notes: Up to the last sample; of arms that begin an episode, anything. Changed.
-        work: Changed.
+        room: Changed.
     """
-    if not _note(design, inputs, notes, work):
-        return
-    _predict(design, notes, work)
-    for arm in range(len(inputs.angle)):
-        covariance = notes.tracks.covariance[arm]
-        correct(design, notes.tracks, arm, covariance, inputs, work.resolution[arm], work.filter)
-    _end(design, inputs, notes)
+    if _note(design, inputs, notes, room):
+        simulate(notes.tracks.mean, design.nominal, notes.commands, room.simulation, room.predicted)
+        for arm in range(len(inputs.angle)):
+            correct(design, notes.tracks, arm, inputs, room)
+        begin(design, inputs, notes)  # arms that begin, whatever was made of them as of the others
+        for arm in range(len(inputs.angle)):
+            notes.angle[arm] = inputs.angle[arm]
 
 
 @compiled
@@ -184,23 +142,23 @@ def _some_notes(notes: Notes, low: int, high: int) -> Notes:
 
 
 @compiled
-def _copy_square(source: Floats, target: Floats, size: int) -> None:
-    for i in range(size):
-        for j in range(size):
-            target[i, j] = source[i, j]
+def _copy_notes(old: Notes, new: Notes) -> None:
+    """Copy what is known of some arms; the new tracks may have room for more entries of z."""
+    count, size = old.tracks.mean.shape
+    for arm in range(count):
+        new.tracks.surprise[arm], new.tracks.noise_factor[arm] = old.tracks.surprise[arm], old.tracks.noise_factor[arm]
+        new.counts[arm], new.angle[arm] = old.counts[arm], old.angle[arm]
+        for i in range(size):
+            new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
+            for j in range(size):
+                new.tracks.covariance[arm, i, j] = old.tracks.covariance[arm, i, j]
+        for k in range(HISTORY):
+            new.commands[arm, k] = old.commands[arm, k]
 
 
 @compiled
 def identify_all(
-    thread: int,
-    design: Design,
-    inputs: Inputs,
-    before: Notes,
-    begun: bool,
-    notes: Notes,
-    taken: Integers,
-    works: Workspace,
-    covariances: Floats,
+    thread: int, design: Design, inputs: Inputs, before: Notes, notes: Notes, taken: Integers, rooms: Room
 ) -> None:
     """Bring what is known of any number of arms up to this sample, as `identify`: some at a time, which caches hold.
 
@@ -210,40 +168,24 @@ def identify_all(
         thread: Index of this one.
         design: Of the filters.
         inputs: Of this sample.
-        before: Up to the last sample; z without room for more entries.
-        begun: Whether anything is known.
+        before: Up to the last sample; `notes` themselves where all arms begin.
         notes: Up to this sample, written; with an accelerometer, z has room for AXES more entries.
         taken: What has been taken of each thread's share, see `take_block`.
-        works: Room of each thread, with rows of whole vectors; changed.
-        covariances: Room of each thread for that of one arm, with its AXES; changed.
+        rooms: Of each thread; changed.
     """
-    work, covariance = _workspace_of(works, thread), covariances[thread]
-    size, count = len(design.mean), len(inputs.begins)
+    room, count = room_of(rooms, thread), len(inputs.begins)
     while True:
         low = take_block(taken, thread, -(-count // ARMS)) * ARMS
         if low < 0:
             break
         high = min(low + ARMS, count)
-        old, new = _some_notes(before, low, high), _some_notes(notes, low, high)
-        for arm in range(high - low if begun else 0):
-            new.tracks.surprise[arm], new.tracks.unrest[arm] = old.tracks.surprise[arm], old.tracks.unrest[arm]
-            new.counts[arm], new.angle[arm] = old.counts[arm], old.angle[arm]
-            for i in range(size):
-                new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
-            for k in range(HISTORY):
-                new.commands[arm, k] = old.commands[arm, k]
-        some = Inputs._make(part[low:high] for part in inputs)
-        if _note(design, some, new, work):
-            _predict(design, new, work)
-            for arm in range(high - low):
-                _copy_square(old.tracks.covariance[arm], covariance, size)
-                correct(design, new.tracks, arm, covariance, some, work.resolution[arm], work.filter)
-                _copy_square(covariance, new.tracks.covariance[arm], size)
-            _end(design, some, new)
+        some = _some_notes(notes, low, high)
+        _copy_notes(_some_notes(before, low, high), some)
+        identify(design, Inputs._make(part[low:high] for part in inputs), some, room)
 
 
 @compiled
-def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) -> None:
+def estimate(design: Design, notes: Notes, room: Simulation, result: Estimate) -> None:
     """Write what controllers need to know of up to `ARMS` arms.
 
     The states to come, D samples on, follow from the commands given before: from sample to sample they are simulated
@@ -252,10 +194,10 @@ def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) ->
     Args:
         design: Of the filters.
         notes: Of this sample.
-        work: Changed.
+        room: Changed.
         result: Written.
     """
-    mean, room, most = notes.tracks.mean, work.filter.simulation, 0
+    mean, most = notes.tracks.mean, 0
     load(mean, design.nominal, room)
     write_table(room.constants, result.table)
     for arm in range(len(mean)):
@@ -278,15 +220,13 @@ def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) ->
 
 
 @compiled
-def estimate_all(
-    thread: int, design: Design, notes: Notes, result: Estimate, taken: Integers, works: Workspace
-) -> None:
+def estimate_all(thread: int, design: Design, notes: Notes, result: Estimate, taken: Integers, rooms: Room) -> None:
     """Write what controllers need to know of any number of arms, as `estimate`; in threads as `identify_all`."""
-    work = _workspace_of(works, thread)
+    room = room_of(rooms, thread).simulation
     while True:
         low = take_block(taken, thread, -(-len(result.delay) // ARMS)) * ARMS
         if low < 0:
             break
         high = min(low + ARMS, len(result.delay))
         some = Estimate._make(part[low:high] for part in result)
-        estimate(design, _some_notes(notes, low, high), work, some)
+        estimate(design, _some_notes(notes, low, high), room, some)

@@ -74,7 +74,7 @@ class Estimate:
 
 
 def steady_gain(
-    arm: LinearArms, torque: float, acceleration: float, kept: float, growth: float, open_to: float = 0.0
+    arm: LinearArms, torque: float, acceleration: float, decay: float, growth: float, open_to: float = 0.0
 ) -> Floats:
     """Steady-state Kalman gain for [x; d], shape (5,), of an encoder with its usual rounding.
 
@@ -82,11 +82,11 @@ def steady_gain(
         arm: One linear arm at one angle.
         torque: White noise at the motor, its standard deviation [N m].
         acceleration: White noise of the torsion [rad/s^2].
-        kept: Share of d that is left after a sample.
+        decay: Share of d that is left after a sample.
         growth: Variance that d gains in a sample [(N m)^2].
         open_to: Variance that the motor's angle gains beside that [rad^2].
     """
-    transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, kept]), np.zeros((5, 5))
+    transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, decay]), np.zeros((5, 5))
     transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
     for by_noise, deviation in ((arm.by_torque, torque), (arm.by_acceleration, acceleration)):
         covariance[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)

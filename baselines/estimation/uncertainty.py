@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.estimation.believed_arm import DISTURBANCE, FELT_SIZE, IDENTIFIED, LOGS, ORDERS, SIZE
-from baselines.estimation.felt import AXES
+from baselines.estimation.accelerometer import AXES
+from baselines.estimation.believed_arm import ACCELEROMETER_SIZE, DISTURBANCE, IDENTIFIED, LOGS, ORDERS, SIZE
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 from beltarm_env.task.accelerometer import BIAS as ZERO_G
@@ -48,21 +48,21 @@ class Uncertainty:
         result[LOGS, LOGS] += self.torque_constant**2
         return result
 
-    def covariance_felt(self) -> Floats:
-        """Initial covariance of z with an accelerometer, shape (FELT_SIZE, FELT_SIZE)."""
+    def accelerometer_covariance(self) -> Floats:
+        """Initial covariance of z with an accelerometer, shape (ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)."""
         result = np.diag(np.square([*[0.0] * SIZE, *[self.kinematic_error] * 2, *[ZERO_G / 3**0.5] * AXES]))
         result[:SIZE, :SIZE] = self.covariance()
         return result
 
     @property
-    def kept(self) -> float:
+    def decay(self) -> float:
         """Share of d that is left after a sample."""
         return float(np.exp(-CONTROL_PERIOD / self.memory))
 
     def growth(self) -> Floats:
-        """Variance that each entry of z gains in a sample, but for x: shape (FELT_SIZE,)."""
-        result = np.zeros(FELT_SIZE)
+        """Variance that each entry of z gains in a sample, but for x: shape (ACCELEROMETER_SIZE,)."""
+        result = np.zeros(ACCELEROMETER_SIZE)
         result[LOGS.start : DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
         result[_FRICTION : _FRICTION + 2] += self.friction_drift**2 * CONTROL_PERIOD
-        result[DISTURBANCE] = (1 - self.kept**2) * self.disturbance**2
+        result[DISTURBANCE] = (1 - self.decay**2) * self.disturbance**2
         return result

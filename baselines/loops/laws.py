@@ -39,6 +39,7 @@ from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.physics.sampled import sampled_state_space
+from beltarm_env.task.reference import MoveShape
 
 _linear_arm = lru_cache(maxsize=16)(linear_arm)
 
@@ -172,7 +173,7 @@ def preview_law(controller: PreviewController, k: int) -> Law:
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
     arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
-    return steady_gain(arm, uncertainty.torque, uncertainty.acceleration, uncertainty.kept, growth, QUANTUM**2 / 120)
+    return steady_gain(arm, uncertainty.torque, uncertainty.acceleration, uncertainty.decay, growth, QUANTUM**2 / 120)
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
@@ -191,7 +192,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     whole = int(delay)
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
-        z, d = a @ memory[1:] + b[:, 0] * last + by_torque * memory[0], uncertainty.kept * memory[0]
+        z, d = a @ memory[1:] + b[:, 0] * last + by_torque * memory[0], uncertainty.decay * memory[0]
         innovation = angle - z[0]
         z[:4] += filter_gain[:4] * innovation
         d += filter_gain[4] * innovation
@@ -214,11 +215,11 @@ def horizon_gain(ahead: Horizon, angle: float) -> Floats:
     """
     rest = np.array([ahead.plant.gear * angle, 0.0, 0.0, 0.0, 0.0])
     small = np.diag([1e-3, 1e-2, 1e-5, 1e-3, 1e-3])
-    states = rest + np.vstack([np.zeros(5), small])
     away = 0.5 if angle < 0.8 else -0.5  # of the move's start; it ended long ago
-    moves, times = np.tile([angle + away, angle, 1.0, 0.3], (6, 1)), np.full(6, 100.0)
-    torques = plan_horizon(ahead, np.ascontiguousarray(states[:, :4]), states[:, 4].copy(), times, moves, 0.0)[:, 0]
-    return (torques[1:] - torques[0]) / small.diagonal()
+    move, torques = MoveShape(angle + away, angle, 1.0, 0.3), np.empty((6, len(ahead.lengths)))
+    for state, planned in zip(rest + np.vstack([np.zeros(5), small]), torques, strict=True):
+        plan_horizon(ahead, move, 100.0, state[:4], float(state[4]), 0.0, planned)
+    return (torques[1:, 0] - torques[0, 0]) / small.diagonal()
 
 
 def mpc_law(controller: MpcController, k: int) -> Law:

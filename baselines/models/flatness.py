@@ -33,11 +33,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from baselines.gains import Gains, tunable
 from baselines.models.modes import held_mode
-from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
@@ -158,45 +155,3 @@ def flat_point(corners: Floats, time: float, plant: Plant) -> FlatPoint:
     speed, acceleration = gear * (v + torsion_speed), gear * (a + curve / stiffness)
     torque = acceleration / plant.inverse_motor_inertia + plant.viscous_friction * speed + belt / gear
     return FlatPoint(gear * (p + torsion), speed, torsion, torsion_speed, torque, acceleration)
-
-
-class Corners(NamedTuple):
-    """Smoothed trapezoids of n arms: four jumps of the acceleration, each spread over a time."""
-
-    start: Floats  # phi at the start [rad], shape (n,)
-    onset: Floats  # of a spread [s] from the move's start, shape (n, 4)
-    time: Floats  # of a spread, w [s], shape (n, 4)
-    jump: Floats  # [rad/s^2], shape (n, 4)
-
-
-class FlatMotion(NamedTuple):
-    """State and torque along a smoothed move; n arms at one instant each."""
-
-    link: Floats  # phi and its first four derivatives [rad/s^k], shape (n, 5)
-    state: Floats  # x = [theta_a, omega_a, theta_s, omega_s], shape (n, 4)
-    torque: Floats  # tau_m without Coulomb friction [N m], shape (n,)
-    acceleration: Floats  # of the motor [rad/s^2], shape (n,)
-
-
-def smoothed(moves: Floats, params: ArmParams, first: float, others: float) -> Corners:
-    """Smooth the trapezoids of n moves, see `write_corners`.
-
-    Raises:
-        ValueError: If moves have another shape, or a spread takes no time.
-    """
-    if moves.ndim != 2 or moves.shape[1] != 4:
-        raise ValueError(f"moves must have shape (n, 4): start, goal, duration, ramp time; got {moves.shape}")
-    if not (0 < first < np.inf and 0 < others < np.inf):
-        raise ValueError(f"spreads of corners must be positive numbers of periods, got {first!r} and {others!r}")
-    rows, plant = np.empty((len(moves), CORNERS)), params.plant()
-    for move, row in zip(moves, rows, strict=True):
-        write_corners(MoveShape(*move), plant, first, others, row)
-    return Corners(rows[:, 0], rows[:, 1:5], rows[:, 5:9], rows[:, 9:])
-
-
-def flat_motion(corners: Corners, time: Floats, params: ArmParams) -> FlatMotion:
-    """Motion, state and torque at times [s] since the moves' starts, shape (n,); phi'''' is right-continuous."""
-    plant, rows = params.plant(), np.column_stack(corners)
-    points = np.array([flat_point(row, at, plant) for row, at in zip(rows, time, strict=True)])
-    link = np.array([link_motion(row, at, 1.0) for row, at in zip(rows, time, strict=True)])
-    return FlatMotion(link[:, :5], points[:, :4], points[:, 4], points[:, 5])

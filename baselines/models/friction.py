@@ -134,15 +134,6 @@ def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -
     return by.share * friction_level(by.friction, motor_speed) * direction
 
 
-@compiled
-def smooth_frictions(by: SmoothCompensation, motor_speeds: Floats, torques: Floats) -> Floats:
-    """Return `smooth_friction` of n arms; arrays of shape (n,)."""
-    result = np.empty(len(torques))
-    for i in range(len(torques)):
-        result[i] = smooth_friction(by, motor_speeds[i], torques[i])
-    return result
-
-
 @inlined
 def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
     """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].

@@ -30,15 +30,12 @@ from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import (
     AdaptiveDesign,
     Compensation,
-    SpreadDesign,
     arm_memory,
     law,
-    spread_law,
-    spread_memory,
     write_compensations,
     write_motor_torques,
 )
-from baselines.planning.plan import GAIN, Weights, plan_cost, planned
+from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -134,29 +131,23 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         move = np.array([joint, joint, 0.5, 0.2])
         return planned(move, nominal_row(self.params), self._weights)[0, GAIN : GAIN + 4]
 
-    def kernel(self) -> LawKernel:
+    def kernel(self, plan_samples: int = 1) -> LawKernel:
         """The law for one arm, on encoder observations.
+
+        Args:
+            plan_samples: Over how many samples a plan made anew is spread: a processor may take longer than one for it.
 
         Raises:
             TypeError: If there is an accelerometer, which the law for one arm does not see.
+            ValueError: If these samples are fewer than 1, or more than lie between two plans.
         """
         if self.sensors == "accelerometer":
             raise TypeError("the law for one arm has the encoder alone")
-        design = AdaptiveDesign(self._identifier.design, self._cost, self._compensation, self._improvements)
-        return LawKernel(law, design, arm_memory())
-
-    def spread_kernel(self, samples: int) -> LawKernel:
-        """The law for one arm, whose plans made anew are spread over some samples; see `spread_law`.
-
-        Raises:
-            ValueError: If these are fewer than 2, or more than lie between two plans.
-        """
-        if not 2 <= samples < EVERY:
-            raise ValueError(f"a plan may be spread over 2 to {EVERY - 1} samples, got {samples!r}")
-        rows = -(-EPISODE_STEPS // samples)
-        of: AdaptiveDesign = self.kernel().design
-        design = SpreadDesign(of.filter, of.cost, of.compensation, of.improvements, rows)
-        return LawKernel(spread_law, design, spread_memory())
+        if not 1 <= plan_samples < EVERY:
+            raise ValueError(f"a plan may be spread over 1 to {EVERY - 1} samples, got {plan_samples!r}")
+        rows = -(-EPISODE_STEPS // plan_samples)
+        knows = self._identifier.design, self._cost, self._compensation, self._improvements
+        return LawKernel(law, AdaptiveDesign(*knows, rows), arm_memory())
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
@@ -166,7 +157,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         now = Situation(reading.move, reading.step, time, found.states, found.logs, found.table)
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins, now, self._weights, self._improvements)
-        write_motor_torques(self._compensation, found, belief.tracks.mean, cache.rows_at(time), time, torques)
+        write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
         return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:

@@ -1,8 +1,8 @@
 """Law of `baselines.optimal.adaptive` for one arm.
 
 A slow processor may call the law's parts by themselves: `torque` needs what `begun` has found in the same sample, and
-`renewed`, which seldom has something to do, may take until the next one. Where it takes longer, `spread_law` makes a
-plan piece by piece.
+`renewed`, which seldom has something to do, may take until the next one. Where it takes longer, a plan is made piece by
+piece.
 """
 
 from __future__ import annotations
@@ -11,30 +11,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimation.believed_arm import SIZE, other_torque
-from baselines.estimation.filter_design import Design, Inputs, inputs_of
+from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
+from baselines.estimation.filter_design import Design, Inputs, Room, inputs_of, room_for
 from baselines.estimation.identify import (
     Estimate,
     Notes,
-    Workspace,
     empty_estimate,
     empty_notes,
     estimate,
     identify,
-    workspace_for,
 )
 from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
+from baselines.models.ramps import move_of
 from baselines.planning.plan import PLAN_COLUMNS, PlanCost, plan_backwards, step_of_plan, torque_between, torque_of_plan
 from baselines.planning.replanning import is_stale
 from baselines.planning.riccati import CostToGo, no_cost
-from baselines.planning.task_plan import PlanRoom, plan_room, plan_squares, plan_task
+from baselines.planning.task_plan import PlanRoom, plan_room, plan_task
 from baselines.reading import Sample
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import FIELDS, plant_of
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.engine import compiled, inlined
-from beltarm_env.task.reference import MoveShape
 
 
 class Compensation(NamedTuple):
@@ -75,7 +73,7 @@ def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state
         of: What of friction is compensated.
         planned: By the plan [N m].
         row: Constants of the arm, shape (len(FIELDS),).
-        z: Of the arm, shape (SIZE,) or (FELT_SIZE,).
+        z: Of the arm, shape (SIZE,) or (ACCELEROMETER_SIZE,).
         state: x at the time at which the torque acts, shape (4,).
     """
     friction, _ = sliding_torque(row, state)
@@ -91,7 +89,7 @@ def write_motor_torques(
     Args:
         of: What of friction is compensated.
         found: What is estimated of the arms.
-        mean: z of them, shape (n, SIZE or FELT_SIZE).
+        mean: z of them, shape (n, SIZE or ACCELEROMETER_SIZE).
         pairs: Rows of their plans before and after the time, shape (n, 2, 10).
         time: At which the torques act, since the episode's start [samples], shape (n,).
         torques: [N m], shape (n,), written.
@@ -110,6 +108,7 @@ class AdaptiveDesign(NamedTuple):
     cost: PlanCost
     compensation: Compensation
     improvements: int  # steps by which the first plan is improved
+    rows: int  # most samples of a plan made anew that are planned in one sample
 
 
 class ArmMemory(NamedTuple):
@@ -118,37 +117,50 @@ class ArmMemory(NamedTuple):
     notes: Notes  # what is known of it
     logs: Floats  # `Estimate.logs` that the plan was made for, shape (6,)
     plan: Floats  # shape (1200, 10)
+    to_go: CostToGo  # of the plan that is being made anew
+    row: Floats  # constants that it is made for, shape (len(FIELDS),)
+    left: Integers  # samples of it that are left to plan, shape (1,)
     inputs: Inputs  # from here on, nothing has to be kept from sample to sample
     found: Estimate
-    identification: Workspace
+    identification: Room
     planning: PlanRoom
 
 
 def arm_memory() -> ArmMemory:
     """Memory for one arm."""
-    found, inputs = empty_estimate(1), inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
-    logs, plan = np.zeros(found.logs.shape[1]), np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-    return ArmMemory(empty_notes(1, SIZE), logs, plan, inputs, found, workspace_for(1), plan_room())
+    found, logs = empty_estimate(1), np.zeros(LOGS.stop - LOGS.start)
+    return ArmMemory(
+        empty_notes(1, SIZE),
+        logs,
+        np.zeros((EPISODE_STEPS, PLAN_COLUMNS)),
+        no_cost(5),
+        np.zeros(len(FIELDS)),
+        np.zeros(1, np.intp),
+        inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_)),
+        found,
+        room_for(1),
+        plan_room(),
+    )
 
 
 @compiled
-def begun(design: AdaptiveDesign | SpreadDesign, now: Sample, begins: bool, memory: ArmMemory | SpreadMemory) -> None:
+def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> None:
     """Identify the arm; where an episode begins, plan its move, which takes much longer than a sample."""
     memory.inputs.angle[0], memory.inputs.command[0] = now.motor_angle, now.last_command
     memory.inputs.begins[0] = begins
     found = memory.found
     identify(design.filter, memory.inputs, memory.notes, memory.identification)
-    estimate(design.filter, memory.notes, memory.identification, found)
+    estimate(design.filter, memory.notes, memory.identification.simulation, found)
     if begins:
-        move, time = MoveShape(now.start, now.goal, now.duration, now.ramp_time), now.step + found.delay[0]
-        row, state = found.table[0], found.states[0]
-        plan_task(move, row, design.cost, time, state, design.improvements, memory.planning, memory.plan)
+        time, row, state = now.step + found.delay[0], found.table[0], found.states[0]
+        plan_task(move_of(now), row, design.cost, time, state, design.improvements, memory.planning, memory.plan)
+        memory.left[0] = 0
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
 
 
 @compiled
-def torque(design: AdaptiveDesign | SpreadDesign, now: Sample, memory: ArmMemory | SpreadMemory) -> float:
+def torque(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> float:
     """Torque [N m] by the plan, once `begun` has been there."""
     found = memory.found
     planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
@@ -157,13 +169,24 @@ def torque(design: AdaptiveDesign | SpreadDesign, now: Sample, memory: ArmMemory
 
 @compiled
 def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
-    """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it."""
-    found = memory.found
-    if is_stale(now.step, found.logs[0], memory.logs):
-        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
-        plan_squares(move, found.table[0], design.cost, now.step, memory.planning, memory.plan)
+    """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it.
+
+    A plan is made from its end, `design.rows` samples of it at a time. Until the recursion is there, a sample has the
+    plan of before.
+    """
+    found, to_go, model = memory.found, memory.to_go, memory.planning.model
+    if memory.left[0] <= now.step and is_stale(now.step, found.logs[0], memory.logs):
+        write_linear_arm(found.table[0], model)
+        memory.row[:] = found.table[0]
+        to_go.matrix[:] = 0.0
+        to_go.vector[:] = 0.0
+        memory.left[0] = len(memory.plan)
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
+    if memory.left[0] > now.step:
+        first, plant = max(memory.left[0] - design.rows, now.step), plant_of(memory.row)
+        plan_backwards(move_of(now), plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
+        memory.left[0] = first
 
 
 @compiled
@@ -172,61 +195,4 @@ def law(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) ->
     begun(design, now, begins, memory)
     result = torque(design, now, memory)
     renewed(design, now, memory)
-    return result
-
-
-class SpreadDesign(NamedTuple):
-    """What is constant about the law that spreads plans made anew over samples; fields as of `AdaptiveDesign`."""
-
-    filter: Design
-    cost: PlanCost
-    compensation: Compensation
-    improvements: int
-    rows: int  # samples of the plan that are made in one sample
-
-
-class SpreadMemory(NamedTuple):
-    """Memory of the law that spreads plans made anew; the first fields as of `ArmMemory`."""
-
-    notes: Notes
-    logs: Floats
-    plan: Floats
-    inputs: Inputs
-    found: Estimate
-    identification: Workspace
-    planning: PlanRoom
-    to_go: CostToGo  # of the plan that is being made
-    row: Floats  # constants that it is made for, shape (len(FIELDS),)
-    left: Integers  # samples of it that are left to make, shape (1,)
-
-
-def spread_memory() -> SpreadMemory:
-    """Memory for one arm."""
-    return SpreadMemory(*arm_memory(), no_cost(5), np.zeros(len(FIELDS)), np.zeros(1, np.intp))
-
-
-@compiled
-def spread_law(design: SpreadDesign, now: Sample, begins: bool, memory: SpreadMemory) -> float:
-    """As `law`, with plans made anew over several samples: for processors on which one takes longer than a sample.
-
-    A plan is made from its end. Until the recursion is there, a sample has the plan of before.
-    """
-    begun(design, now, begins, memory)
-    result = torque(design, now, memory)
-    move, found, to_go = MoveShape(now.start, now.goal, now.duration, now.ramp_time), memory.found, memory.to_go
-    if begins:
-        memory.left[0] = 0
-    if memory.left[0] > now.step:
-        first = max(memory.left[0] - design.rows, now.step)
-        plant, model = plant_of(memory.row), memory.planning.model
-        plan_backwards(move, plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
-        memory.left[0] = first
-    elif is_stale(now.step, found.logs[0], memory.logs):
-        write_linear_arm(found.table[0], memory.planning.model)
-        memory.row[:] = found.table[0]
-        to_go.matrix[:] = 0.0
-        to_go.vector[:] = 0.0
-        memory.left[0] = len(memory.plan)
-        for k in range(len(memory.logs)):
-            memory.logs[k] = found.logs[0, k]
     return result

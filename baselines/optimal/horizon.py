@@ -145,29 +145,24 @@ def _set_up(p: Problem, ahead: Horizon, move: MoveShape, time: float, friction: 
 
 
 @compiled
-def plan(ahead: Horizon, states: Floats, last_torques: Floats, times: Floats, moves: Floats, friction: float) -> Floats:
-    """Net torques that minimise the cost over the horizon.
+def plan(
+    ahead: Horizon, move: MoveShape, time: float, state: Floats, last_torque: float, friction: float, torques: Floats
+) -> None:
+    """Write the net torques [N m] of all steps that minimise the cost over the horizon.
 
     Args:
         ahead: See `horizon`.
-        states: Estimated states x (rad, rad/s), shape (n, 4).
-        last_torques: Net torques of the last sample [N m], shape (n,).
-        times: Since the move's start [s], shape (n,).
-        moves: Start, goal [rad], duration, ramp time [s], shape (n, 4).
+        move: Of the joint.
+        time: Since the move's start [s].
+        state: Estimated x (rad, rad/s), shape (4,).
+        last_torque: Net torque of the last sample [N m].
         friction: Coulomb friction that the motor has to overcome besides, while the reference moves [N m].
-
-    Returns:
-        Shape (n, N) [N m].
+        torques: Shape (N,), written.
     """
-    count, steps = len(states), len(ahead.lengths)
-    torques = np.empty((count, steps))
-    problem, first = empty_problem(steps), np.empty(SIZE)
-    for i in range(count):
-        move = MoveShape(moves[i, 0], moves[i, 1], moves[i, 2], moves[i, 3])
-        _set_up(problem, ahead, move, times[i], friction)
-        now = reference_at(TRAPEZOID, move, times[i])
-        first[:4], first[4] = states[i], last_torques[i]
-        first[0] -= ahead.plant.gear * now.angle
-        first[1] -= ahead.plant.gear * now.speed
-        minimise(problem, ahead.change_weight, first, torques[i])
-    return torques
+    problem, first = empty_problem(len(ahead.lengths)), np.empty(SIZE)
+    _set_up(problem, ahead, move, time, friction)
+    now = reference_at(TRAPEZOID, move, time)
+    first[:4], first[4] = state, last_torque
+    first[0] -= ahead.plant.gear * now.angle
+    first[1] -= ahead.plant.gear * now.speed
+    minimise(problem, ahead.change_weight, first, torques)

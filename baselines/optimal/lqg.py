@@ -26,21 +26,23 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
-from baselines.controller import ClassicalController, LawKernel
-from baselines.estimation.observer import Estimate, StickSlipObserver
-from baselines.estimation.tracking import ObserverDesign, Track, track_arm
+from baselines.controller import LawKernel
+from baselines.estimation.tracking import ObserverDesign, track_arm
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place
+from baselines.models.ramps import move_of
+from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObservedArm, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
-from baselines.reading import Reading, Sample
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
-from beltarm_env.task.reference import MoveShape
+
+_MOVE = slice(1, 1 + CORNERS)  # of a law's row: the smoothed move
 
 
 @dataclass(frozen=True)
@@ -80,90 +82,37 @@ class LqgDesign(NamedTuple):
     friction: SmoothCompensation
 
 
-class LqgArm(NamedTuple):
-    """Memory of the law for one arm, written in place."""
-
-    track: Track  # of the observer
-    corners: Floats  # of the smoothed move, shape (CORNERS,)
-    added: Floats  # torque beside the feedback's [N m], shape (1,)
-
-
 @compiled
-def _torques(
-    design: LqgDesign, corners: Floats, step: int, ahead: Floats, disturbance: float, last: float
-) -> tuple[float, float]:
-    """Torque v of the feedback, and what is added to it [N m].
-
-    Args:
-        design: Of the law.
-        corners: Of the smoothed move.
-        step: Samples since the move's start.
-        ahead: x when the command acts, as estimated; shape (4,).
-        disturbance: d [N m].
-        last: v of the last sample [N m].
-    """
-    time = CONTROL_PERIOD * step + CONTROL_PERIOD * design.observer.delay
+def _torque(design: LqgDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
+    """Motor torque [N m], see `FeedbackLaw`."""
+    corners, last = row[_MOVE], now.last_command - row[ADDED]
+    if begins:
+        write_corners(move_of(now), design.plant, design.first_spread, design.spread, corners)
+        last = 0.0
+    time = CONTROL_PERIOD * now.step + CONTROL_PERIOD * design.observer.delay
     wanted = flat_point(corners, time, design.plant)
     held = flat_point(corners, time + 0.5 * CONTROL_PERIOD, design.plant)
-    row, weight = place(wanted.motor_angle / design.plant.gear)
-    low, high = design.feedback[row], design.feedback[row + 1]
+    at, weight = place(wanted.motor_angle / design.plant.gear)
+    low, high = design.feedback[at], design.feedback[at + 1]
     feedback = between(low[0], high[0], weight) * (ahead[0] - wanted.motor_angle)
     feedback += between(low[1], high[1], weight) * (ahead[1] - wanted.motor_speed)
     feedback += between(low[2], high[2], weight) * (ahead[2] - wanted.torsion)
     feedback += between(low[3], high[3], weight) * (ahead[3] - wanted.torsion_speed)
     deviation = -feedback - between(low[4], high[4], weight) * last
     friction = smooth_friction(design.friction, ahead[1], held.torque + deviation)
-    return deviation, held.torque + friction - disturbance
+    row[ADDED] = held.torque + friction - disturbance
+    return deviation + row[ADDED]
 
 
 @compiled
-def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: LqgArm) -> float:
+def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: ObservedArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
     track = memory.track
     track_arm(design.observer, now, begins, track)
-    if begins:
-        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
-        write_corners(move, design.plant, design.first_spread, design.spread, memory.corners)
-    last = 0.0 if begins else now.last_command - memory.added[0]
-    deviation, added = _torques(design, memory.corners, now.step, track.ahead, track.disturbance[0], last)
-    memory.added[0] = added
-    return deviation + added
+    return _torque(design, now, begins, track.ahead, track.disturbance[0], memory.row)
 
 
-@compiled
-def _law_of_arms(
-    design: LqgDesign,
-    moves: Floats,
-    steps: Integers,
-    commands: Floats,
-    begins: Flags,
-    ahead: Floats,
-    disturbances: Floats,
-    before: Floats,
-    corners: Floats,
-) -> tuple[Floats, Floats]:
-    """Torques of n arms, and what of them is beside the feedback [N m]; `before` is that of the last sample."""
-    torques, added = np.empty(len(steps)), np.empty(len(steps))
-    for i in range(len(steps)):
-        if begins[i]:
-            move = MoveShape(moves[i, 0], moves[i, 1], moves[i, 2], moves[i, 3])
-            write_corners(move, design.plant, design.first_spread, design.spread, corners[i])
-        last = 0.0 if begins[i] else commands[i] - before[i]
-        deviation, added[i] = _torques(design, corners[i], steps[i], ahead[i], disturbances[i], last)
-        torques[i] = deviation + added[i]
-    return torques, added
-
-
-@dataclass(frozen=True)
-class LqgMemory:
-    """Smoothed move and estimate of n arms."""
-
-    corners: Floats  # see `write_corners`, shape (n, CORNERS)
-    estimate: Estimate
-    added: Floats  # torque beside the feedback's [N m], shape (n,)
-
-
-class LqgController(ClassicalController[LqgMemory]):
+class LqgController(ObserverController):
     """Flatness feed-forward and gain-scheduled LQG on encoder observations.
 
     Args:
@@ -171,12 +120,13 @@ class LqgController(ClassicalController[LqgMemory]):
         params: The design model.
     """
 
+    row_size = 1 + CORNERS
+
     def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
         self.gains = gains or LqgGains()
+        super().__init__(self.gains.noise(), params)
         self.feedback = self._feedback()
         """Gains K at each of `ANGLES`, shape (46, 5)."""
-        self._observer = StickSlipObserver(self.params, self.gains.noise())
         self._design = LqgDesign(
             self._observer.design,
             self.params.plant(),
@@ -190,24 +140,10 @@ class LqgController(ClassicalController[LqgMemory]):
         """Gains K at each of `ANGLES`, shape (46, 5)."""
         return feedback_gains(self.params, self.gains.weights())
 
-    def kernel(self) -> LawKernel:
+    def feedback_law(self) -> FeedbackLaw:
         """The law for one arm."""
-        return LawKernel(lqg_law, self._design, LqgArm(self._observer.track(), np.zeros(CORNERS), np.zeros(1)))
+        return FeedbackLaw(_torque, self._design)
 
-    def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        count = len(begins)
-        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        corners = memory.corners.copy() if memory else np.zeros((count, CORNERS))
-        torques, added = _law_of_arms(
-            self._design,
-            reading.move,
-            reading.step,
-            reading.last_command,
-            begins,
-            estimate.ahead,
-            estimate.disturbance,
-            memory.added if memory else np.zeros(count),
-            corners,
-        )
-        return torques, LqgMemory(corners, estimate, added)
+    def kernel(self) -> LawKernel:
+        """The law for one arm, with its observer."""
+        return LawKernel(lqg_law, self._design, ObservedArm(self._observer.track(), np.zeros(self.row_size)))

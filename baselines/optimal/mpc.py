@@ -15,18 +15,20 @@ this controller costs about a third; for the least cost see `baselines/oracle.py
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
-from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.models.actuator import dead_time
-from baselines.models.friction import smooth_frictions
-from baselines.optimal.horizon import horizon, plan
+from baselines.models.friction import SmoothCompensation, smooth_friction
+from baselines.models.ramps import move_of
+from baselines.optimal.horizon import Horizon, horizon, plan
+from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObserverController
 from baselines.optimal.preview import PreviewGains
-from baselines.reading import Reading, last_share
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
+from beltarm_env.engine import compiled
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,26 @@ class MpcGains(PreviewGains):
     """Weights of the predicted cost, noise of the filter and friction compensation, as in preview."""
 
 
-@dataclass(frozen=True)
-class MpcMemory:
-    """Estimate and last net torque of n arms."""
+class MpcDesign(NamedTuple):
+    """What the law for one arm knows."""
 
-    estimate: Estimate
-    added: Floats  # torque beside the plan's [N m], shape (n,)
+    ahead: Horizon
+    lead: float  # T [s]
+    opposing: float  # friction that the plan leaves room for [N m]
+    friction: SmoothCompensation
 
 
-class MpcController(ClassicalController[MpcMemory]):
+@compiled
+def _torque(design: MpcDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
+    """Motor torque [N m], see `FeedbackLaw`."""
+    last = 0.0 if begins else now.last_command - row[ADDED]
+    time, torques = CONTROL_PERIOD * now.step + design.lead, np.empty(len(design.ahead.lengths))
+    plan(design.ahead, move_of(now), time, ahead, last, design.opposing, torques)
+    row[ADDED] = smooth_friction(design.friction, ahead[1], torques[0]) - disturbance
+    return torques[0] + row[ADDED]
+
+
+class MpcController(ObserverController):
     """Model predictive control on encoder observations.
 
     Args:
@@ -51,18 +64,12 @@ class MpcController(ClassicalController[MpcMemory]):
     """
 
     def __init__(self, gains: MpcGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains = gains or MpcGains()
-        self._friction = self.gains.compensation(self.params)
-        self._ahead = horizon(self.params, self.gains.weights())
-        self._observer = StickSlipObserver(self.params, self.gains.noise())
+        self.gains = g = gains or MpcGains()
+        super().__init__(g.noise(), params)
+        p = self.params
+        opposing = g.friction_share * p.coulomb_friction
+        self._design = MpcDesign(horizon(p, g.weights()), dead_time(p), opposing, g.compensation(p))
 
-    def law(self, reading: Reading, begins: Flags, memory: MpcMemory | None) -> tuple[Floats, MpcMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        last = last_share(reading, memory.added if memory else None, begins)
-        opposing = self.gains.friction_share * self.params.coulomb_friction
-        time = CONTROL_PERIOD * reading.step.astype(np.float64) + dead_time(self.params)
-        torque = plan(self._ahead, estimate.ahead, last, time, reading.move, opposing)[:, 0]
-        added = smooth_frictions(self._friction, estimate.ahead[:, 1], torque) - estimate.disturbance
-        return torque + added, MpcMemory(estimate, added)
+    def feedback_law(self) -> FeedbackLaw:
+        """The law for one arm."""
+        return FeedbackLaw(_torque, self._design)

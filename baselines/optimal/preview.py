@@ -12,16 +12,18 @@ and parameters that differ break it, which is why the noise of the filter and th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController, LawKernel
-from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.controller import LawKernel
+from baselines.estimation.observer import Noise
 from baselines.estimation.tracking import ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArms, linear_arm
+from baselines.models.ramps import move_of
+from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObserverController, ObserverMemory
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     PlanCost,
@@ -38,8 +40,10 @@ from baselines.reading import Reading, Sample
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.engine import compiled, inlined
+from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
+
+_LOW, _HIGH = slice(1, 1 + PLAN_COLUMNS), slice(1 + PLAN_COLUMNS, 1 + 2 * PLAN_COLUMNS)  # of a law's row
 
 
 @dataclass(frozen=True)
@@ -80,70 +84,44 @@ class PreviewDesign(NamedTuple):
     friction: SmoothCompensation
 
 
-class PreviewArm(NamedTuple):
-    """Memory of the law for one arm, written in place."""
+@compiled
+def _torque(design: PreviewDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
+    """Motor torque [N m], see `FeedbackLaw`; the row has the plan's rows around the time at which the command acts."""
+    last = 0.0 if begins else now.last_command - row[ADDED]
+    _, share = step_of_plan(now.step + design.observer.delay)
+    torque = torque_between(row[_LOW], row[_HIGH], share, ahead, last)
+    row[ADDED] = smooth_friction(design.friction, ahead[1], torque) - disturbance
+    return torque + row[ADDED]
 
-    track: Track  # of the observer
+
+class PlannedArm(NamedTuple):
+    """Memory of observer, plan and law of one arm, written in place."""
+
+    track: Track
     plan: Floats  # shape (1200, 10)
-    added: Floats  # torque beside the plan's [N m], shape (1,)
-
-
-@inlined
-def _torques(
-    design: PreviewDesign, low: Floats, high: Floats, share: float, ahead: Floats, disturbance: float, last: float
-) -> tuple[float, float]:
-    """Torque by a plan between two of its rows, and what is added to it [N m]; see `torque_between`."""
-    torque = torque_between(low, high, share, ahead, last)
-    return torque, smooth_friction(design.friction, ahead[1], torque) - disturbance
+    row: Floats  # of the law
 
 
 @compiled
-def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PreviewArm) -> float:
+def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PlannedArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    track = memory.track
+    track, plan, row = memory.track, memory.plan, memory.row
     track_arm(design.observer, now, begins, track)
     if begins:
-        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
-        plan_rows(move, design.plant, design.model, design.cost, 0, memory.plan)
-    last = 0.0 if begins else now.last_command - memory.added[0]
-    step, share = step_of_plan(now.step + design.observer.delay)
-    low, high = memory.plan[step], memory.plan[step + 1]
-    torque, added = _torques(design, low, high, share, track.ahead, track.disturbance[0], last)
-    memory.added[0] = added
-    return torque + added
-
-
-@compiled
-def _law_of_arms(
-    design: PreviewDesign,
-    pairs: Floats,
-    time: Floats,
-    commands: Floats,
-    begins: Flags,
-    ahead: Floats,
-    disturbances: Floats,
-    before: Floats,
-) -> tuple[Floats, Floats]:
-    """Torques of n arms, and what of them is beside the plan [N m]; `before` is that of the last sample."""
-    torques, added = np.empty(len(time)), np.empty(len(time))
-    for i in range(len(time)):
-        _, share = step_of_plan(time[i])
-        last = 0.0 if begins[i] else commands[i] - before[i]
-        torque, added[i] = _torques(design, pairs[i, 0], pairs[i, 1], share, ahead[i], disturbances[i], last)
-        torques[i] = torque + added[i]
-    return torques, added
+        plan_rows(move_of(now), design.plant, design.model, design.cost, 0, plan)
+    step, _ = step_of_plan(now.step + design.observer.delay)
+    row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
+    return _torque(design, now, begins, track.ahead, track.disturbance[0], row)
 
 
 @dataclass(frozen=True)
-class PreviewMemory:
-    """Plan and estimate of n arms."""
+class PreviewMemory(ObserverMemory):
+    """Estimates of n arms, the memory of their laws, and their plans."""
 
     plans: Plans
-    estimate: Estimate
-    added: Floats  # torque beside the plan's [N m], shape (n,)
 
 
-class PreviewController(ClassicalController[PreviewMemory]):
+class PreviewController(ObserverController):
     """Preview LQG on encoder observations.
 
     Args:
@@ -151,12 +129,11 @@ class PreviewController(ClassicalController[PreviewMemory]):
         params: The design model.
     """
 
-    observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
+    row_size = 1 + 2 * PLAN_COLUMNS
 
     def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
         self.gains = gains or PreviewGains()
-        self._observer = self.observer(self.params, self.gains.noise())
+        super().__init__(self.gains.noise(), params)
         self._design = PreviewDesign(
             self._observer.design,
             self.params.plant(),
@@ -165,27 +142,24 @@ class PreviewController(ClassicalController[PreviewMemory]):
             self.gains.compensation(self.params),
         )
 
-    def kernel(self) -> LawKernel:
+    def feedback_law(self) -> FeedbackLaw:
         """The law for one arm."""
-        plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-        return LawKernel(preview_law, self._design, PreviewArm(self._observer.track(), plan, np.zeros(1)))
+        return FeedbackLaw(_torque, self._design)
 
-    def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
+    def kernel(self) -> LawKernel:
+        """The law for one arm, with its observer."""
+        plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+        return LawKernel(preview_law, self._design, PlannedArm(self._observer.track(), plan, np.zeros(self.row_size)))
+
+    def law(self, reading: Reading, begins: Flags, memory: ObserverMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        plans = replaced(memory.plans if memory else None, begins, lambda arm: self._planned(reading.move[arm]))
+        known = memory if isinstance(memory, PreviewMemory) else None
+        estimate = self._observer.update(known.estimate if known else None, reading, begins)
+        plans = replaced(known.plans if known else None, begins, lambda arm: self._planned(reading.move[arm]))
+        rows = known.rows.copy() if known else np.zeros((len(begins), self.row_size))
         time = reading.step.astype(np.float64) + self._design.observer.delay
-        torques, added = _law_of_arms(
-            self._design,
-            rows_at(plans, time),
-            time,
-            reading.last_command,
-            begins,
-            estimate.ahead,
-            estimate.disturbance,
-            memory.added if memory else np.zeros(len(begins)),
-        )
-        return torques, PreviewMemory(plans, estimate, added)
+        rows[:, 1:] = rows_at(plans, time).reshape(len(begins), -1)
+        return self._torques(reading, begins, estimate, rows), PreviewMemory(estimate, rows, plans)
 
     def _planned(self, move: Floats) -> Floats:
         """Plan of one move."""

@@ -19,7 +19,8 @@ and that is forgotten after 0.3 s, and steps of the motor's angle, as of one tha
 sees. A is linear in K, and J is descended from the gain of LQG
 (L-BFGS) until its slope is zero: where a descent gives up before that depends on how a processor rounds. A loop that is
 unstable on one arm costs infinitely much, so K holds all of them at once. The late corners count a second time with one
-sample more of latency, which is the delay that tuned loops have to bear.
+sample more of latency, which is the delay that tuned loops have to bear. Where the design has changed, `write_gains()`
+writes `robust.json` anew.
 
 Levine and Athans 1970 (gains for a state that is not all measured, by two Lyapunov equations); Ackermann 1980 and Ly,
 Bryson and Cannon 1985 (one gain for several arms). H-infinity synthesis would bound what is unknown by discs around the
@@ -28,28 +29,32 @@ response; here it is a handful of constants with known ranges, and the corners s
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize, root
 
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
-from baselines.gains import tunable
+from baselines.gains import tunable, tuned
 from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
-from baselines.optimal.kept import kept_gains
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
+from baselines.tools.files import read_text, write_text
 from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import design_model
 from beltarm_env.timing import LATENCY_SAMPLES
 
+FILE = Path(__file__).with_name("robust.json")
+"""Gains for the tuned weights: to find them takes longer than all else that a controller needs at its start."""
 _PLACES = list(range(0, len(ANGLES), 5))  # of `ANGLES`, at which gains are found; between them they are interpolated
 _FORGOTTEN = 0.3  # [s]  time constant of the unknown torque
 _DOUBLINGS = 40  # of the time that a Lyapunov sum covers: 2^40 samples, unless it has converged before
@@ -255,11 +260,17 @@ class Design(NamedTuple):
 
 @lru_cache(maxsize=64)
 def robust_gains(design: Design) -> Floats:
-    """Gains K on [x - x_ref; v_last] at each of `ANGLES`, shape (46, 5), from those that are kept if they are its."""
-    found = kept_gains(design.content())
-    if found is None:
-        found = design.gains()
+    """Gains K on [x - x_ref; v_last] at each of `ANGLES`, shape (46, 5): those of `FILE` if they are of this design."""
+    stored = json.loads(read_text(FILE))
+    found = np.array(stored["gains"]) if stored["design"] == design.content() else design.gains()
     return np.column_stack([np.interp(ANGLES, ANGLES[_PLACES], column) for column in found.T])
+
+
+def write_gains(path: Path = FILE) -> None:
+    """Find the gains with the tuned weights and write them, with all that they are found for."""
+    design = RobustController(tuned("robust", RobustGains)).design
+    content = {"design": design.content(), "gains": design.gains().tolist()}
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 class RobustController(LqgController):

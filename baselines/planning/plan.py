@@ -191,11 +191,6 @@ def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floa
     return rows
 
 
-def replanned(plans: Plans | None, which: Flags, moves: Floats, table: Floats, weights: Weights) -> Plans:
-    """Plans with new ones for some arms; `table` has a row for every arm, or one for all."""
-    return replaced(plans, which, lambda arm: planned(moves[arm], table[arm if len(table) > 1 else 0], weights))
-
-
 def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -> Plans:
     """Plans with new ones, as `plan` makes them, for some arms; all of them where there are none."""
     if plans is not None and not which.any():

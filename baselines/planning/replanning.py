@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, planned, replaced, rows_at, step_of_plan
+from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, planned, replaced
 from baselines.planning.task_plan import plan_room, plan_task
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
@@ -28,7 +28,6 @@ STEPS = 6
 EVERY = 20
 """Samples between plans."""
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
-_NEAR = EVERY + 8  # rows of a plan: those that are read before the next one, where commands act 6 samples later
 
 
 @compiled
@@ -44,26 +43,6 @@ def is_stale(step: int, logs: Floats, of_plan: Floats) -> bool:
     for k in range(len(logs)):
         most = max(most, abs(logs[k] - of_plan[k]))
     return most > _CHANGE and step % EVERY == 0
-
-
-@compiled
-def _mark_stale(steps: Integers, logs: Floats, of_plans: Floats, stale: Flags) -> None:
-    for arm in range(len(steps)):
-        stale[arm] = is_stale(steps[arm], logs[arm], of_plans[arm])
-
-
-@compiled
-def _copy_pairs(near: Floats, first: Integers, time: Floats, pairs: Floats) -> bool:
-    """Copy the rows before and after some times; tell whether all of them are near."""
-    for arm in range(len(time)):
-        step, _ = step_of_plan(time[arm])
-        at = step - first[arm]
-        if not 0 <= at < near.shape[1] - 1:
-            return False
-        for row in range(2):
-            for column in range(pairs.shape[2]):
-                pairs[arm, row, column] = near[arm, at + row, column]
-    return True
 
 
 @dataclass(frozen=True)
@@ -84,15 +63,11 @@ class PlanCache:
 
     plans: Plans
     logs: Floats  # `Situation.logs` at the time; NaN where there is no plan
-    near: Floats  # rows of the plans from `first` on, for all arms in one piece of memory, shape (n, _NEAR, 10)
-    first: Integers  # shape (n,)
 
     @classmethod
     def empty(cls, logs: Floats) -> PlanCache:
         """Cache without any plan, for arms with constants as `Situation.logs`."""
-        count = len(logs)
-        near = np.zeros((count, _NEAR, PLAN_COLUMNS))
-        return cls([np.empty(0)] * count, np.full_like(logs, np.nan), near, np.zeros(count, np.intp))
+        return cls([np.empty(0)] * len(logs), np.full_like(logs, np.nan))
 
     def begun(self, begins: Flags, now: Situation, weights: Weights, steps: int = STEPS) -> PlanCache:
         """Cache with plans for arms that begin a move, improved by some steps; those that begin alike share one."""
@@ -112,29 +87,16 @@ class PlanCache:
         plans = replaced(self.plans, which, plan)
         for arm, other in like.items():
             plans[arm] = plans[other]
-        return self._with(plans, np.where(begins[:, None], now.logs, self.logs), begins, now.step)
+        return PlanCache(plans, np.where(begins[:, None], now.logs, self.logs))
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:
         """Cache with new plans for arms whose plans are stale."""
-        due = now.step % EVERY == 0
-        if not due.any():
+        if not (now.step % EVERY == 0).any():
             return self
-        plans, stale = self.plans, np.empty(len(now.step), np.bool_)
-        _mark_stale(now.step, now.logs, self.logs, stale)
-        if stale.any():
-            plans = replaced(
-                plans, stale, lambda arm: planned(now.moves[arm], now.table[arm], weights, int(now.step[arm]))
-            )
-        return self._with(plans, np.where(stale[:, None], now.logs, self.logs), due, now.step)
+        rows = zip(now.step.tolist(), now.logs, self.logs, strict=True)
+        stale = np.array([is_stale(step, logs, of_plan) for step, logs, of_plan in rows])
 
-    def rows_at(self, time: Floats) -> Floats:
-        """Rows of the plans before and after times [samples] of shape (n,): shape (n, 2, 10)."""
-        pairs = np.empty((len(time), 2, PLAN_COLUMNS))
-        return pairs if _copy_pairs(self.near, self.first, time, pairs) else rows_at(self.plans, time)
+        def plan(arm: int) -> Floats:
+            return planned(now.moves[arm], now.table[arm], weights, int(now.step[arm]))
 
-    def _with(self, plans: Plans, logs: Floats, which: Flags, step: Integers) -> PlanCache:
-        """Cache with other plans and logs, and the rows near a step for some arms."""
-        near, first = self.near.copy(), np.where(which, np.minimum(step, EPISODE_STEPS - _NEAR), self.first)
-        for arm, k in zip(np.flatnonzero(which).tolist(), first[which].tolist(), strict=True):
-            near[arm] = plans[arm][k : k + _NEAR]
-        return PlanCache(plans, logs, near, first)
+        return PlanCache(replaced(self.plans, stale, plan), np.where(stale[:, None], now.logs, self.logs))

@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import LawKernel, ScalarController
+from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.flatness import CORNERS, SpreadGains, write_corners
@@ -176,6 +176,7 @@ class AdrcController(ScalarController):
         params: The design model.
     """
 
+    arm_law = staticmethod(adrc_law)
     memory_size = PUSHES + _MOST_PUSHES
 
     def __init__(self, gains: AdrcGains | None = None, params: ArmParams | None = None) -> None:
@@ -187,7 +188,3 @@ class AdrcController(ScalarController):
         self._design = AdrcDesign(
             p.plant(), g.compensation(p), lead, int(late), rest, *spreads, g.bandwidth, observer_gains(g.observer)
         )
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(adrc_law, self._design, np.zeros(self.memory_size))

@@ -36,7 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import LawKernel, ScalarController
+from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.friction import Compensation, FrictionGains, compensated
@@ -115,6 +115,7 @@ class DisturbanceController(ScalarController):
         params: The design model.
     """
 
+    arm_law = staticmethod(disturbance_law)
     memory_size = 5
 
     def __init__(self, gains: DisturbanceGains | None = None, params: ArmParams | None = None) -> None:
@@ -125,7 +126,3 @@ class DisturbanceController(ScalarController):
         self._design = DisturbanceDesign(
             p.plant(), g.compensation(p), dead_time(p), g.angle, g.speed, share, fast_share, g.reaction_gain
         )
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(disturbance_law, self._design, np.zeros(self.memory_size))

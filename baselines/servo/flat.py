@@ -19,9 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.ramps import move_of
@@ -85,13 +82,10 @@ class FlatController(PidServo):
         params: The design model.
     """
 
+    arm_law = staticmethod(flat_law)
     memory_size = PLAN + CORNERS
 
     def __init__(self, gains: FlatGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or FlatGains()
         super().__init__(self.gains, params)
         self._design = FlatDesign(self._pid, self.gains.first_spread, self.gains.spread)
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(flat_law, self._design, np.zeros(self.memory_size))

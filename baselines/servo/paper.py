@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import LawKernel, ScalarController
+from baselines.controller import ScalarController
 from baselines.models.linear import turning_load
 from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -131,16 +131,13 @@ class PaperController(ScalarController):
         gains: Feedback gains.
     """
 
+    arm_law = staticmethod(paper_law)
     memory_size = 3
 
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
         super().__init__(params or ArmParams())
         self.gains = g = gains or PaperGains()
         self._design = PaperDesign(self.params.plant(), g.torsion_speed, g.angle, g.speed)
-
-    def kernel(self) -> LawKernel:
-        """Eq. (11) for one arm."""
-        return LawKernel(paper_law, self._design, np.zeros(self.memory_size))
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

@@ -25,9 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from baselines.controller import LawKernel, ScalarController
+from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.friction import Compensation, FrictionGains, compensated
@@ -82,6 +80,7 @@ class RetunedController(ScalarController):
         params: The design model.
     """
 
+    arm_law = staticmethod(retuned_law)
     memory_size = PaperController.memory_size
 
     def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
@@ -90,7 +89,3 @@ class RetunedController(ScalarController):
         p = self.params
         of_gains = g.torsion_speed, g.angle, g.speed
         self._design = RetunedDesign(p.plant(), g.compensation(p), dead_time(p), *of_gains)
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(retuned_law, self._design, np.zeros(self.memory_size))

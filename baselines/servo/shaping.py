@@ -33,7 +33,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, move_of
@@ -152,6 +151,7 @@ class ShapingController(PidServo):
         TypeError: If the gains are those of another kind.
     """
 
+    arm_law = staticmethod(shaping_law)
     memory_size = RAMPS_END
 
     def __init__(self, gains: ShapingGains | None = None, params: ArmParams | None = None, kind: Kind = "ei") -> None:
@@ -165,7 +165,3 @@ class ShapingController(PidServo):
         vibration = self.gains.vibration if isinstance(self.gains, ExtraInsensitiveGains) else 0.0
         shares = shares_of(kind, vibration)
         self._design = ShapingDesign(self._pid, shares, self.gains.shortest_ramp, self.gains.frequency)
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(shaping_law, self._design, np.zeros(self.memory_size))

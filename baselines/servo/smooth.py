@@ -20,9 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from baselines.controller import LawKernel
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps, move_of
@@ -79,13 +76,10 @@ class SmoothController(PidServo):
         params: The design model.
     """
 
+    arm_law = staticmethod(smooth_law)
     memory_size = RAMPS_END
 
     def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or SmoothGains()
         super().__init__(self.gains, params)
         self._design = SmoothDesign(self._pid, self.gains.ramp)
-
-    def kernel(self) -> LawKernel:
-        """The law for one arm."""
-        return LawKernel(smooth_law, self._design, np.zeros(self.memory_size))

@@ -57,8 +57,8 @@ def this_python() -> str:
 
 def resume_command(script: str) -> str:
     """Return the command that goes on with the work of the command that runs."""
-    told = [word for word in sys.argv[1:] if word not in ("--resume", "--overwrite")]
-    return f"{this_python()} {shlex.join([script, *told, '--resume'])}"
+    arguments = [each for each in sys.argv[1:] if each not in ("--resume", "--overwrite")]
+    return f"{this_python()} {shlex.join([script, *arguments, '--resume'])}"
 
 
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:

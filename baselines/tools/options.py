@@ -5,34 +5,28 @@ The docstring under a field says what the option does. A dataclass may sort its 
     groups: ClassVar[Groups] = {"basic": ("out", "seed"), "algorithm": (), "run": ("jobs",)}
 
 A group holds the options that it names, and an empty one all that no group names. To tyro a group is a dataclass within
-a dataclass; such dataclasses are made here, so that commands work with one flat dataclass. tyro leaves usage and
-description as lines of any length, up to 450 characters; here they are wrapped.
+a dataclass; such dataclasses are made here, so that commands work with one flat dataclass.
 """
 
 from __future__ import annotations
 
-import codecs
 import os
-import shutil
 import sys
-import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import Field, field, fields, make_dataclass
-from io import BytesIO, StringIO, TextIOWrapper
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import docstring_parser
 import tyro
 
-from baselines.tools.resuming import as_words
+from baselines.tools.resuming import as_arguments
 from baselines.tools.schema import in_a_line
 
 Groups = Mapping[str, tuple[str, ...]]
 """Names of options, by the name of their group."""
-WIDTH = 80
-"""Most columns of `--help`."""
 _Config = TypeVar("_Config")
 _MARKERS = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
 _SAID_OTHERWISE = ("", "''", "None", "True", "False")  # defaults that the option's text says, or its being a flag
@@ -49,33 +43,30 @@ def parse(
     Args:
         kind: The options, a dataclass.
         description: What `--help` begins with; by default the docstring of `kind`.
-        arguments: Words to read instead of the command line's.
-        begun: Gives, from what is told, the options that the work to go on with was begun with: they stand for those
-            that are not told.
+        arguments: Arguments to read instead of the command line's.
+        begun: Gives, from the options that are given, those that the work to go on with was begun with: they stand for
+            those that are not given.
 
     Raises:
-        SystemExit: After `--help`, and for words that are no options.
+        SystemExit: After `--help`, and for arguments that are no options.
         ValueError: If options that the work was begun with cannot be read.
     """
-    told = sys.argv[1:] if arguments is None else arguments
-    config = _read(kind, description, told)
-    words = as_words(kind, begun(config)) if begun else []
-    if not words:
+    given = sys.argv[1:] if arguments is None else arguments
+    config = _read(kind, description, given)
+    begun_with = as_arguments(kind, begun(config)) if begun else []
+    if not begun_with:
         return config
     try:
         with redirect_stderr(StringIO()):
-            return _read(kind, description, [*words, *told])
+            return _read(kind, description, [*begun_with, *given])
     except SystemExit:
-        noted = in_a_line(" ".join(words))
+        noted = in_a_line(" ".join(begun_with))
         raise ValueError(f"cannot resume with the options noted, {noted}: give them anew with another --out") from None
 
 
 def _read(kind: type[_Config], description: str | None, arguments: Sequence[str]) -> _Config:
-    groups = _groups_of(kind)
-    with _at_most(WIDTH):
-        read: Any = tyro.cli(
-            _shaped(kind, groups), description=_paragraphs(description or kind.__doc__), args=arguments, config=_MARKERS
-        )
+    groups, text = _groups_of(kind), _paragraphs(description or kind.__doc__)
+    read: Any = tyro.cli(_shaped(kind, groups), description=text, args=arguments, config=_MARKERS)
     parts = [getattr(read, group) for group in groups] or [read]
     return kind(**{each.name: getattr(part, each.name) for part in parts for each in fields(part)})
 
@@ -130,23 +121,3 @@ def _joined(text: str | None) -> str:
 
 def _paragraphs(text: str | None) -> str:
     return "\n\n".join(_joined(paragraph) for paragraph in (text or "").split("\n\n"))
-
-
-@contextmanager
-def _at_most(columns: int) -> Iterator[None]:
-    """Have tyro fill at most so many columns, and wrap what it leaves long: usage and description."""
-    encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # by the name that tyro knows it by
-    before, shown = os.environ.get("COLUMNS"), TextIOWrapper(BytesIO(), encoding)
-    columns = min(columns, shutil.get_terminal_size().columns)
-    os.environ["COLUMNS"] = str(columns)
-    try:
-        with redirect_stdout(shown):
-            yield
-    finally:
-        if before is None:
-            del os.environ["COLUMNS"]
-        else:
-            os.environ["COLUMNS"] = before
-        shown.seek(0)
-        for line in shown:
-            print(textwrap.fill(line.rstrip("\n"), columns, break_long_words=False, break_on_hyphens=False))

@@ -53,7 +53,7 @@ def last_commit_of(path: Path) -> str:
     return found
 
 
-def _git(*words: str | Path) -> str:
+def _git(*arguments: str | Path) -> str:
     """What git says of the checkout.
 
     Raises:
@@ -62,13 +62,15 @@ def _git(*words: str | Path) -> str:
     """
     environment = {name: value for name, value in os.environ.items() if name not in _OF_ANOTHER}
 
-    def ask(*words: str | Path) -> str:
-        found = subprocess.run(["git", *words], cwd=_ROOT, env=environment, capture_output=True, text=True, check=True)
+    def ask(*arguments: str | Path) -> str:
+        found = subprocess.run(
+            ["git", *arguments], cwd=_ROOT, env=environment, capture_output=True, text=True, check=True
+        )
         return found.stdout.strip()
 
     if ask("rev-parse", "--show-prefix") or not ask("ls-files", "--", Path(__file__).resolve()):
         raise FileNotFoundError(f"{_ROOT} is not a checkout of its own")
-    return ask(*words)
+    return ask(*arguments)
 
 
 def code_and_packages() -> str:

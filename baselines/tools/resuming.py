@@ -1,4 +1,4 @@
-"""Options of interrupted work: noted as it begins, so that `--resume` goes on with them where it is told no others."""
+"""Options of interrupted work: noted as it begins, so that `--resume` goes on with them unless others are given."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ def noted_options(path: Path, *but: str) -> dict[str, Any]:
         raise ValueError(f"{path} is damaged ({in_a_line(repr(error))}): choose another --out") from None
 
 
-def as_words(kind: type[Any], options: Mapping[str, Any]) -> list[str]:
-    """Return options as words of a command line, but for defaults, and for names that the command does not know.
+def as_arguments(kind: type[Any], options: Mapping[str, Any]) -> list[str]:
+    """Return options as arguments of a command line, but for defaults, and for names that the command does not know.
 
     Args:
         kind: Options of a command, a dataclass.
         options: By name, as JSON has them. None of a positional argument.
     """
-    words = list[str]()
+    arguments = list[str]()
     for each in fields(kind):
         value, name = options.get(each.name), each.name.replace("_", "-")
         if value is None or value == each.default:
             continue
         if isinstance(value, bool):  # a flag says what is not its default
-            words.append(f"--{name}" if value else f"--no-{name}")
+            arguments.append(f"--{name}" if value else f"--no-{name}")
         elif isinstance(value, list):
-            words += [f"--{name}", *map(str, value)]
+            arguments += [f"--{name}", *map(str, value)]
         else:
-            words.append(f"--{name}={value}")
-    return words
+            arguments.append(f"--{name}={value}")
+    return arguments

@@ -94,8 +94,8 @@ class TuningConfig(WithStorage):
         """
         if not self.resume:
             return {}
-        told = ("names", "all", "journals", "resume")
-        noted = {name: noted_options(self.noted(name), *told) for name in self.chosen()}
+        of_this_run = ("names", "all", "journals", "resume")
+        noted = {name: noted_options(self.noted(name), *of_this_run) for name in self.chosen()}
         first, *others = [name for name, options in noted.items() if options] or [""]
         for name in others:
             if noted[name] != noted[first]:

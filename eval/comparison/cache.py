@@ -28,14 +28,14 @@ import agents
 import baselines
 import beltarm_env
 from baselines.engines import parallel
-from baselines.engines.carrying import Carried
-from baselines.optimal import kept as kept_gains
+from baselines.optimal import robust
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, nominal_params, rollout
 from beltarm_env.sources import sources_digest
+from eval.comparison.carrying import Carried
 from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.rollouts import Failure, attempt, explained, run_controller
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
@@ -101,7 +101,7 @@ def key_of(method: Method, *others: str | int) -> str:
 def _code() -> list[str]:
     """SHA-256 of the code of plant, controllers and policies and of kept gains; versions of the packages below it."""
     sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
-    kept = sha256_of(kept_gains.FILE) if kept_gains.FILE.exists() else ""
+    kept = sha256_of(robust.FILE)
     return [sources, kept, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 
 

@@ -13,7 +13,6 @@ from agents.policy.bundle import POLICIES, POLICY_FILE, are_alike, load_controll
 from agents.policy.description import BundleSpec
 from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
-from baselines.engines.carrying import Carried, carry
 from baselines.gains import read_file
 from baselines.guard.controller import guarded, servo_for
 from baselines.tools.command import nearest
@@ -22,6 +21,7 @@ from beltarm_env import ArmParams
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
+from eval.comparison.carrying import Carried, carry
 
 _Read = tuple[Path, BundleSpec, dict[str, Any]]  # folder of a policy, and what is in it
 Kind = Literal["classical", "learned", "privileged", "added"]

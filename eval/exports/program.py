@@ -20,8 +20,8 @@ from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
-from baselines.estimation.filter_design import inputs_of
-from baselines.estimation.identify import empty_notes, workspace_for
+from baselines.estimation.filter_design import inputs_of, room_for
+from baselines.estimation.identify import empty_notes
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
@@ -142,7 +142,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
         inputs = inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
-        filtering = Filtering(empty_notes(1, SIZE), inputs, workspace_for(1)) if identifies and own else None
+        filtering = Filtering(empty_notes(1, SIZE), inputs, room_for(1)) if identifies and own else None
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
@@ -183,7 +183,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     if plan_samples != 1 and not isinstance(controller, AdaptiveController):
         raise ValueError(f"{name!r} makes no plan while the arm moves: leave out --plan-samples {plan_samples}")
     try:
-        return controller.kernel() if plan_samples == 1 else controller.spread_kernel(plan_samples)
+        return controller.kernel() if plan_samples == 1 else controller.kernel(plan_samples)
     except TypeError as error:  # with an accelerometer
         raise ValueError(f"{name!r} cannot be exported: {error}") from None
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, load_controller, read_spec
 from agents.residual.controller import ResidualMemory
-from baselines.registry import CONTROLLERS, FELT
+from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
@@ -32,7 +32,7 @@ QUICK = {"episodes": 4, "splits": ("randomized",)}
 Tier = Literal["encoder", "accelerometer"]
 TIERS: tuple[Tier, Tier] = ("encoder", "accelerometer")
 STUDENT = "student"
-NAMES = (*FELT, STUDENT)
+NAMES = (*WITH_ACCELEROMETER, STUDENT)
 """Controllers of the study."""
 COMPARED = ("cost", "tip_rms_mm", "residual_pp_mm")
 """Metrics that are compared scenario by scenario."""
@@ -100,7 +100,7 @@ def controller(name: str, tier: Tier) -> Controller:
     """Make a classical controller with its tuned gains, the same for both sets of sensors, or the student of a set."""
     if name == STUDENT:
         return load_controller(student_folder(tier))
-    return (CONTROLLERS if tier == "encoder" else FELT)[name]()
+    return (CONTROLLERS if tier == "encoder" else WITH_ACCELEROMETER)[name]()
 
 
 def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:

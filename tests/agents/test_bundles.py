@@ -36,7 +36,7 @@ from agents.residual.bases import make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.tensor_file import MAX_BYTES, packed
 from baselines import PaperController
-from baselines.optimal.felt import FeltAdaptiveController
+from baselines.optimal.accelerometer import AccelerometerAdaptiveController
 from beltarm_env.rollout import rollout
 
 NAN = math.nan
@@ -119,8 +119,8 @@ class TestSaved:
         spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
         save_bundle(tmp_path, spec, new_weights(spec, 0))
         controller = load_controller(str(tmp_path))
-        assert isinstance(controller.informed.base, FeltAdaptiveController)
-        assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
+        assert isinstance(controller.informed.base, AccelerometerAdaptiveController)
+        assert not isinstance(make_base("adaptive"), AccelerometerAdaptiveController)
         assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter
 
     def test_policies_that_are_not_saved(self, bundle: Path):

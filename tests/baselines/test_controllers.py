@@ -21,7 +21,7 @@ import baselines
 from baselines import CONTROLLERS, TUNABLE, PaperController
 from baselines.optimal.adaptive_law import begun, renewed, torque
 from baselines.reading import read, sample_of
-from baselines.registry import FELT
+from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
@@ -32,7 +32,7 @@ BATCH: dict[str, Any] = {"randomization": "train"}
 FELT_ARMS: dict[str, Any] = {**BATCH, "sensors": "accelerometer"}
 CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     **{name: (make, BATCH) for name, make in CONTROLLERS.items()},
-    **{f"{name}, accelerometer": (make, FELT_ARMS) for name, make in FELT.items()},
+    **{f"{name}, accelerometer": (make, FELT_ARMS) for name, make in WITH_ACCELEROMETER.items()},
     "adaptive, late coarse encoder": (CONTROLLERS["adaptive"], {**BATCH, "delay": 2, "encoder_counts": 1000}),
 }
 """Controllers, and the arms that they are tried on."""
@@ -72,11 +72,11 @@ def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: 
     assert_same_in_batches(make, SEED, **options)
 
 
-@pytest.mark.parametrize("name", FELT)
+@pytest.mark.parametrize("name", WITH_ACCELEROMETER)
 def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(name: str):
     """For the encoder alone the checks of a user's controller look at it, in `tests/eval/test_check_controller.py`."""
     first, second = observations(SEED), observations(SEED + 100_000)
-    controller, starts, memory, fresh = FELT[name](), np.array([False, True, False, True]), None, None
+    controller, starts, memory, fresh = WITH_ACCELEROMETER[name](), np.array([False, True, False, True]), None, None
     for seen in first[:60]:
         _, memory = controller.predict(seen, memory)
     undisturbed = memory
@@ -88,7 +88,7 @@ def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_
         np.testing.assert_array_equal(action, np.where(starts[:, None], new, on))
 
 
-@pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], FELT["adaptive"]])
+@pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])
 def test_observations_of_another_shape_are_refused(make: Any):
     size = observation.size(make().sensors)
     for shape in ((size,), (3, observation.size() - 1)):
@@ -217,9 +217,9 @@ class TestGains:
                 kind(**words)
 
     def test_are_the_same_with_an_accelerometer(self):
-        assert set(FELT) <= set(CONTROLLERS)
-        assert all(CONTROLLERS[name]().sensors == "encoder" for name in FELT)
-        assert all(FELT[name]().gains == CONTROLLERS[name]().gains for name in FELT)
+        assert set(WITH_ACCELEROMETER) <= set(CONTROLLERS)
+        assert all(CONTROLLERS[name]().sensors == "encoder" for name in WITH_ACCELEROMETER)
+        assert all(WITH_ACCELEROMETER[name]().gains == CONTROLLERS[name]().gains for name in WITH_ACCELEROMETER)
 
 
 COSTS = """

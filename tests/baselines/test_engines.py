@@ -20,7 +20,6 @@ from refusals import refused
 from side_by_side import Anywhere, InWorkers, Place, go_on, square, where_it_works
 
 from baselines.engines import workplace
-from baselines.engines.carrying import carry
 from baselines.engines.options import WithStorage
 from baselines.engines.parallel import Channel, Engine, StopRequest, stop_on_signals
 from baselines.engines.workplace import Workplace
@@ -37,7 +36,7 @@ class TestInThisProcess(Anywhere):
 class TestInProcesses(InWorkers):
     @pytest.fixture
     def place(self) -> Place:
-        return Place(Engine(), 2, attempts=2)
+        return Place(Engine(), 2)
 
 
 class TestSignals:
@@ -155,12 +154,3 @@ class TestFolders:
         wrong = {f"{tmp_path}/file/store": (OSError, socket.gethostname()), "nowhere://bucket": (ValueError, "nowhere")}
         for url, (kind, word) in wrong.items():
             refused(kind, (f"--storage {url}", word), Workplace(WithStorage(storage=url), tmp_path).__enter__)
-
-    def test_a_folder_is_carried_to_machines_that_lack_it(self, tmp_path: Path):
-        (tmp_path / "own").mkdir()
-        (tmp_path / "own/file").write_bytes(b"content")
-        carried = carry(tmp_path / "own", [tmp_path / "own/file"])
-        assert carried.here() == tmp_path / "own"
-        (tmp_path / "own/file").write_bytes(b"another")
-        assert (carried.here() / "file").read_bytes() == b"content" and carried.here() == carried.here()
-        assert carried.here() != tmp_path / "own"

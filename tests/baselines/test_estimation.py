@@ -13,15 +13,15 @@ from episodes import memory_after
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation import believed_arm as arm_of
+from baselines.estimation.accelerometer import SPREAD, unfiltered
+from baselines.estimation.accelerometer_observer import acceleration_slopes, steady_accelerometer_gain
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS, nominal_row
-from baselines.estimation.felt import SPREAD, unfiltered
-from baselines.estimation.felt_observer import felt_slopes, steady_felt_gain
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, tuned_identifier
 from baselines.reading import Reading, read
-from baselines.registry import FELT
+from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats
@@ -103,7 +103,7 @@ def followed() -> tuple[Floats, Floats, Floats, Any]:
     arms = 6
     env = BeltArmVectorEnv(arms, autoreset_mode="Disabled", randomization="train", sensors="accelerometer")
     observation, _ = env.reset(seed=SEED)
-    controller, memory, states, felt = FELT["adaptive"](), None, [], []
+    controller, memory, states, felt = WITH_ACCELEROMETER["adaptive"](), None, [], []
     for _ in range(STEPS - 1):
         seen = decode(observation, "accelerometer")
         felt.append(np.stack([seen["tip_acceleration_along"], seen["tip_acceleration_across"]], axis=1))
@@ -156,7 +156,7 @@ class TestGains:
 
     def arm(self, k: int) -> tuple[LinearArms, Floats]:
         params = design_model()
-        return LinearArms(*(part[k] for part in linear_arm(params))), felt_slopes(ANGLES[k], params.plant())
+        return LinearArms(*(part[k] for part in linear_arm(params))), acceleration_slopes(ANGLES[k], params.plant())
 
     def test_are_those_of_a_filter_that_also_keeps_the_state_before(self):
         """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
@@ -177,12 +177,12 @@ class TestGains:
             before = transition @ after @ transition.T + both
             gain = before @ seen.T @ np.linalg.inv(seen @ before @ seen.T + measured)
             after = before - gain @ seen @ before
-        actual = steady_felt_gain(arm, slopes, self.noise, 1.0, spread)
+        actual = steady_accelerometer_gain(arm, slopes, self.noise, 1.0, spread)
         np.testing.assert_allclose(actual / np.abs(actual).max(0), gain[:5] / np.abs(actual).max(0), atol=1e-5)
 
     def test_an_accelerometer_that_tells_nothing_leaves_those_of_the_encoder(self):
         arm, slopes = self.arm(11)
-        actual = steady_felt_gain(arm, slopes, self.noise, 1.0, (1e6, 1e6))
+        actual = steady_accelerometer_gain(arm, slopes, self.noise, 1.0, (1e6, 1e6))
         np.testing.assert_allclose(actual[:, 0], kalman_gains(design_model(), self.noise)[11], rtol=1e-5)
         assert np.abs(actual[:, 1:]).max() < 1e-6
 

@@ -17,7 +17,7 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
+from baselines.models.flatness import CORNERS, FlatPoint, flat_point, link_motion, write_corners
 from baselines.models.friction import commanded_direction, dry_friction, friction_level, smooth_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.models.rigid_arm import rigid_torque
@@ -69,8 +69,6 @@ def test_what_does_not_fit_is_refused():
         (("(1, 4)",), lambda: simulation.advance(np.zeros((1, 4)), np.zeros(2))),
         (("136 arms", "137"), lambda: simulation.set_table(params_table([ArmParams()] * 137))),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: ArmSimulation(ArmParams(), model="mujoco")),
-        (("moves", "(4,)"), lambda: smoothed(MOVE[0], UNDAMPED, 0.3, 0.3)),
-        (("spreads", "nan"), lambda: smoothed(MOVE, UNDAMPED, 0.3, math.nan)),
     ):
         refused(ValueError, words, call)
 
@@ -138,15 +136,25 @@ MOVES = st.builds(
 SPREADS = st.floats(0.02, 2.0)
 
 
-def at(corners: Corners, times: Floats, params: ArmParams = UNDAMPED) -> FlatMotion:
-    """One arm's motion at many times."""
-    many = Corners(*(np.repeat(part, len(times), axis=0) for part in corners))
-    return flat_motion(many, times, params)
+def smoothed(move: Floats, params: ArmParams, first: float, others: float) -> Floats:
+    """Corners of one smoothed move."""
+    corners = np.empty(CORNERS)
+    write_corners(MoveShape(*move[0]), params.plant(), first, others, corners)
+    return corners
 
 
-def knots(corners: Corners) -> Floats:
+def links(corners: Floats, times: Floats) -> Floats:
+    """Angle of the link and its first three derivatives at some times, shape (n, 4)."""
+    return np.array([link_motion(corners, time, 1.0)[:4] for time in times])
+
+
+def at(corners: Floats, time: float, params: ArmParams) -> FlatPoint:
+    return flat_point(corners, time, params.plant())
+
+
+def knots(corners: Floats) -> Floats:
     """Times at which the fourth derivative jumps."""
-    return np.unique(corners.onset[0] + np.outer([0.0, 0.5, 1.0], corners.time[0]))
+    return np.unique(corners[1:5] + np.outer([0.0, 0.5, 1.0], corners[5:9]))
 
 
 class TestSmoothedMove:
@@ -155,20 +163,21 @@ class TestSmoothedMove:
     def test_sets_out_and_arrives_as_the_task_and_meets_it_in_between(self, move: Floats, first: float, others: float):
         corners = smoothed(move, UNDAMPED, first, others)
         start, goal, duration, ramp = move[0]
-        ends = corners.onset[0] + corners.time[0]
-        assert corners.onset[0, 0] == 0.0 and (corners.onset >= 0).all()
-        assert corners.time[0, 0] <= 0.5 * ramp + 1e-12
-        assert corners.time.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
-        link = at(corners, np.array([0.0, ends[3], 1.8])).link
+        onsets, spreads = corners[1:5], corners[5:9]
+        ends = onsets + spreads
+        assert onsets[0] == 0.0 and (onsets >= 0).all()
+        assert spreads[0] <= 0.5 * ramp + 1e-12
+        assert spreads.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
+        link = links(corners, np.array([0.0, ends[3], 1.8]))
         np.testing.assert_allclose(link[:, 0], [start, goal, goal], atol=1e-12)
         np.testing.assert_allclose(link[:, 1:4], 0.0, atol=1e-9)
-        cruising = np.linspace(max(ends[1], ramp), min(corners.onset[0, 2], duration - ramp), 5)
+        cruising = np.linspace(max(ends[1], ramp), min(onsets[2], duration - ramp), 5)
         if cruising[0] < cruising[-1]:
             task = [reference_at(TRAPEZOID, MoveShape(start, goal, duration, ramp), t)[:2] for t in cruising]
-            np.testing.assert_allclose(at(corners, cruising).link[:, :2], task, atol=1e-12)
+            np.testing.assert_allclose(links(corners, cruising)[:, :2], task, atol=1e-12)
 
 
-def integrate(corners: Corners, params: ArmParams) -> tuple[Floats, Floats]:
+def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
     """Times, and states of (5a), (5b) under the flat torque without Coulomb friction: the equations written anew."""
     p = params
     swing = p.arm_inertia_swing + (2 * p.link_length) ** 2 * p.payload_mass
@@ -176,14 +185,14 @@ def integrate(corners: Corners, params: ArmParams) -> tuple[Floats, Floats]:
 
     def rates(time: float, y: Floats) -> list[float]:
         theta, phi, theta_rate, phi_rate = y
-        torque = flat_motion(corners, np.array([time]), p).torque[0]
+        torque = at(corners, time, p).torque
         belt = p.belt_stiffness * (theta - phi) + damping * (theta_rate - phi_rate)
         viscous = p.motor_viscous_friction * GEAR * theta_rate
         motor = (torque - viscous - belt / GEAR) / (p.motor_inertia * GEAR)
         m2, half_slope = p.arm_inertia + swing * math.sin(phi) ** 2, swing * math.sin(phi) * math.cos(phi)
         return [theta_rate, phi_rate, motor, (belt - half_slope * phi_rate**2) / m2]
 
-    first = flat_motion(corners, np.zeros(1), p).state[0]
+    first = at(corners, 0.0, p)
     y = np.array([first[0] / GEAR, first[0] / GEAR - first[2], first[1] / GEAR, first[1] / GEAR - first[3]])
     edges = np.append(knots(corners), 1.5)
     times, states = [0.0], [y]
@@ -205,7 +214,7 @@ class TestFlatInverse:
         params = ArmParams(belt_damping_ratio=0.0, payload_mass=payload)
         corners = smoothed(move, params, 0.3, 0.7)
         times, states = integrate(corners, params)
-        planned = at(corners, times, params)
-        np.testing.assert_allclose(states, planned.state, atol=1e-7)
-        np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], planned.link[:, 0], atol=1e-9)
-        assert np.abs(planned.state[:, 2]).max() > 0.01, "the belt gives way"
+        planned = np.array([at(corners, time, params)[:4] for time in times])
+        np.testing.assert_allclose(states, planned, atol=1e-7)
+        np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], links(corners, times)[:, 0], atol=1e-9)
+        assert np.abs(planned[:, 2]).max() > 0.01, "the belt gives way"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,13 +14,12 @@ from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov, sqrtm
 from scipy.optimize import lsq_linear
 
 from baselines import CONTROLLERS
-from baselines import design as design_command
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
-from baselines.optimal import kept
+from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
@@ -248,28 +248,22 @@ class TestGain:
         assert worst[RobustController] < 1 < worst[LqgController]
 
 
-class TestKept:
+class TestStoredGains:
     def test_they_are_what_the_design_finds(self, tmp_path: Path):
-        design, anew = CONTROLLERS["robust"]().design, tmp_path / "robust.json"
-        design_command.run(design_command.Config(anew))
-        actual, expected = (kept.kept_gains(design.content(), path) for path in (anew, kept.FILE))
-        assert expected is not None, "robust.json is of another design: run `python baselines/design.py`"
-        assert actual == pytest.approx(expected, rel=1e-6), "run `python baselines/design.py`"
-        kept.keep({"stopped": 0.1}, gains := np.random.default_rng(0).normal(size=(3, 5)) / 3, tmp_path / "other.json")
-        np.testing.assert_array_equal(kept.kept_gains({"stopped": 0.1}, tmp_path / "other.json"), gains)
+        robust.write_gains(tmp_path / "robust.json")
+        anew, stored = (json.loads(path.read_text()) for path in (tmp_path / "robust.json", robust.FILE))
+        assert anew["design"] == stored["design"], "call `write_gains()` of baselines.optimal.robust"
+        np.testing.assert_allclose(anew["gains"], stored["gains"], rtol=1e-6)
 
-    def test_they_are_of_one_design_alone(self):
+    def test_they_are_of_one_design_alone(self, monkeypatch: pytest.MonkeyPatch):
+        found = np.arange(5.0 * 10).reshape(10, 5)
+        monkeypatch.setattr(robust.Design, "gains", lambda _: found)
         design = CONTROLLERS["robust"]().design
-        others = [
+        for other in (
             design._replace(params=replace(design.params, payload_mass=0.11)),
             design._replace(weights=design.weights._replace(change=201.0)),
             design._replace(noise=replace(design.noise, torque=0.011)),
             design._replace(stopped=0.2),
-        ]
-        assert all(kept.kept_gains(other.content()) is None for other in others)
-
-    @pytest.mark.parametrize("content", ["", "{}", '{"design": {}, "gains": [[1, 2, 3, 4, NaN]]}'])
-    def test_a_damaged_file_is_named_with_a_remedy(self, content: str, tmp_path: Path):
-        (tmp_path / "robust.json").write_text(content)
-        with pytest.raises(ValueError, match=r"robust\.json is damaged .*: restore it, or remove it"):
-            kept.kept_gains({}, tmp_path / "robust.json")
+        ):
+            np.testing.assert_array_equal(robust.robust_gains(other)[::5], found)
+        robust.robust_gains.cache_clear()

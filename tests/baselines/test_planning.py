@@ -17,7 +17,7 @@ from baselines.models.linear import at_angle, linear_arm
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
-from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque, replanned
+from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque
 from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.planning.task_plan import improve, plan_room, plan_squares, plan_task, problem_of
 from baselines.yardsticks.clairvoyant import optimum
@@ -96,8 +96,7 @@ class TestPlan:
         np.testing.assert_allclose(plan[500, GAIN:TORQUE], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
 
     def test_is_read_between_samples(self):
-        table = ArmParams().row()[None]
-        plans = replanned(None, np.ones(1, np.bool_), MOVE, table, WEIGHTS)
+        plans = [planned(MOVE[0], ArmParams().row(), WEIGHTS)]
         x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
 
         def torque(time: float) -> float:
@@ -163,8 +162,8 @@ def test_what_is_past_stays():
 
 
 def test_nothing_is_left_to_improve_at_the_end():
-    for plan, squares in zip(task_plans(6, 1199.0), replanned(None, ALL, MOVES, TABLE, TASK_WEIGHTS), strict=True):
-        assert (plan == squares).all()
+    for plan, move, row in zip(task_plans(6, 1199.0), MOVES, TABLE, strict=True):
+        assert (plan == planned(move, row, TASK_WEIGHTS)).all()
 
 
 class TestReplanning:

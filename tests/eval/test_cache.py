@@ -31,6 +31,7 @@ from eval.comparison.cache import (
     run_parts,
     sensitive,
 )
+from eval.comparison.carrying import carry
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.rollouts import Failure
 from eval.comparison.run import choose_methods
@@ -340,3 +341,13 @@ def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path)
     more = measure(perturbed)
     assert more.pop(cache.SENSITIVE).tolist() == [[0.0] * 4]
     assert all(np.array_equal(more[name], plain[name]) for name in plain)
+
+
+def test_a_folder_is_carried_to_machines_that_lack_it(tmp_path: Path):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/file").write_bytes(b"content")
+    carried = carry(tmp_path / "own", [tmp_path / "own/file"])
+    assert carried.here() == tmp_path / "own"
+    (tmp_path / "own/file").write_bytes(b"another")
+    assert (carried.here() / "file").read_bytes() == b"content" and carried.here() == carried.here()
+    assert carried.here() != tmp_path / "own"

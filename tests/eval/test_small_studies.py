@@ -19,7 +19,7 @@ from agents.residual.bases import make_base
 from baselines import PaperController
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.motor_learning import MotorLearningController
-from baselines.registry import FELT
+from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
@@ -189,7 +189,7 @@ def test_a_filter_with_the_accelerometer_knows_the_torsion_better(name: str, mos
     assert with_it.torsion < most * without.torsion
 
 
-@pytest.mark.parametrize("name", FELT)
+@pytest.mark.parametrize("name", WITH_ACCELEROMETER)
 def test_with_the_accelerometer_the_arm_vibrates_less(name: str):
     without, with_it = (result.metrics for result in both(name))
     assert np.median(with_it["cost"] - without["cost"]) < 0

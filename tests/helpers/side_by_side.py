@@ -103,7 +103,6 @@ class Place(NamedTuple):
 
     engine: Engine
     jobs: int
-    attempts: int = 1  # at a task whose process dies
 
     def outcomes(self, tasks: Mapping[str, Task[Any]], **options: Any) -> dict[str, Any]:
         ends = list(run_side_by_side(tasks, self.jobs, engine=self.engine, **options))
@@ -183,5 +182,5 @@ class InWorkers(Anywhere):
         outcomes = place.outcomes({"always": partial(die_at_first, tmp_path / "always", 99), **squares})
         broken = outcomes.pop("always")
         assert isinstance(broken, Failure) and isinstance(broken.error, BrokenOff)
-        assert len(list((tmp_path / "always").glob("try*"))) == place.attempts
+        assert len(list((tmp_path / "always").glob("try*"))) == 2
         assert outcomes == {"0": 0, "1": 1, "2": 4}

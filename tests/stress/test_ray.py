@@ -56,7 +56,7 @@ def address(settings: None) -> Iterator[str]:
 class TestOnACluster(InWorkers):
     @pytest.fixture
     def place(self, address: str) -> Place:
-        return Place(Engine("ray", address), 2, attempts=cluster.ATTEMPTS)
+        return Place(Engine("ray", address), 2)
 
     def test_workers_that_cannot_take_tasks_are_refused(self, place: Place, monkeypatch: pytest.MonkeyPatch):
         with pytest.raises(ValueError, match="--threads 3"):

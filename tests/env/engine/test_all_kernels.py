@@ -19,7 +19,7 @@ from recording_calls import recorded_calls
 from agents.policy.bundle import POLICIES, load_controller
 from agents.policy.network import NetworkPolicy
 from baselines.guard.controller import guarded
-from baselines.registry import CONTROLLERS, FELT
+from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.engine import PLAIN
 from beltarm_env.observation import SENSORS
@@ -58,7 +58,7 @@ def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
         step_environments()
         for make in (*CONTROLLERS.values(), partial(guarded, "adaptive"), partial(load_controller, STUDENT)):
             drive(make(), "encoder")
-        for make in FELT.values():
+        for make in WITH_ACCELEROMETER.values():
             drive(make(), "accelerometer")
         for shape in SHAPES.values():
             calls.count_anew()

@@ -77,12 +77,6 @@ def simulation_room(size: int) -> Simulation:
 
 
 @compiled
-def simulation_of(rooms: Simulation, thread: int) -> Simulation:
-    """Room of one thread, from arrays whose first axis is that of threads."""
-    return Simulation._make(part[thread] for part in rooms)
-
-
-@compiled
 def _load_coefficients(block: Floats, arms: int, constants: Floats) -> None:
     """Put what follows from constants, but delay and lag, into lanes."""
     for lane in range(arms):
@@ -217,7 +211,7 @@ def write_believed(beliefs: Floats, nominal: Floats, room: Simulation, table: Fl
     """Write the constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)).
 
     Args:
-        beliefs: z of the arms, shape (m, SIZE or FELT_SIZE).
+        beliefs: z of the arms, shape (m, SIZE or ACCELEROMETER_SIZE).
         nominal: From `nominal_row`.
         room: Changed.
         table: Written.

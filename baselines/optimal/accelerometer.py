@@ -6,22 +6,22 @@ A track of its own: what is compared with others has the encoder alone.
 from __future__ import annotations
 
 from baselines.controller import LawKernel
-from baselines.estimation.felt_observer import FeltObserver
+from baselines.estimation.accelerometer_observer import AccelerometerObserver
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.preview import PreviewController
 
 
-class FeltAdaptiveController(AdaptiveController):
+class AccelerometerAdaptiveController(AdaptiveController):
     """Adaptive preview LQG on encoder and accelerometer."""
 
     sensors = "accelerometer"
 
 
-class FeltPreviewController(PreviewController):
+class AccelerometerPreviewController(PreviewController):
     """Preview LQG on encoder and accelerometer."""
 
     sensors = "accelerometer"
-    observer = FeltObserver
+    observer = AccelerometerObserver
 
     def kernel(self) -> LawKernel:
         """Refuse: a `Sample` has no accelerometer."""

@@ -1,6 +1,6 @@
 """State of the arm from encoder, commanded torque and an accelerometer on the arm's end.
 
-As `baselines.estimation.observer`, with two readings more (`baselines.estimation.felt`) in its correction,
+As `baselines.estimation.observer`, with two readings more (`baselines.estimation.accelerometer`) in its correction,
 
     [x; d] = [x^-; d] + L (y - h),     y = [theta_a; m - b],     h = [x^-_1; R (v(x^-) - v(x)) / T]
 
@@ -12,7 +12,7 @@ linear arm z[k+1] = F z[k] + w, z = [x; d], all readings of a sample are those o
 so that L is the steady-state gain of a one-step predictor whose process and measurement noise are correlated by C (by
 the discrete algebraic Riccati equation; B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979, sec. 5.4).
 
-The kinematic error of the joint, which the design model does not have, is felt across the hand: an acceleration of
+The kinematic error of the joint, which the design model does not have, shows across the hand: an acceleration of
 amplitude 4 e omega_a^2 times the reach, at twice the motor's frequency. It counts as noise of that size, so that L
 depends on the motor's speed. While the motor sticks, L is that of an arm behind a motor without end: now the torsion is
 corrected there too.
@@ -26,7 +26,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from baselines.estimation.felt import AXES, SPREAD, mean_acceleration, unfiltered
+from baselines.estimation.accelerometer import AXES, SPREAD, mean_acceleration, unfiltered
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.estimation.tracking import AT_REST, LARGEST, LARGEST_TORQUE, QUANTUM, SLIDES
 from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
@@ -46,15 +46,15 @@ _SMALL = np.array([1e-4, 1e-3, 1e-6, 1e-4])  # differences of x
 
 
 @dataclass(frozen=True)
-class FeltEstimate(Estimate):
-    """Estimated states of n arms, and what is kept of their accelerometers."""
+class AccelerometerEstimate(Estimate):
+    """Estimated states of n arms, and the readings of their accelerometers."""
 
-    felt: Floats  # last readings [m/s^2], shape (n, AXES)
+    acceleration: Floats  # last readings [m/s^2], shape (n, AXES)
     bias: Floats  # zero-g outputs [m/s^2], shape (n, AXES)
 
 
 @compiled
-def felt_over(before: Floats, after: Floats, plant: Plant) -> Floats:
+def mean_accelerations(before: Floats, after: Floats, plant: Plant) -> Floats:
     """Mean accelerations along and across the hand [m/s^2], shape (n, AXES), from x to x, both of shape (n, 4)."""
     result = np.empty((len(after), AXES))
     for i in range(len(after)):
@@ -64,24 +64,26 @@ def felt_over(before: Floats, after: Floats, plant: Plant) -> Floats:
     return result
 
 
-def felt_slopes(angle: float, plant: Plant) -> Floats:
-    """Derivatives of what is felt by x at a sample's end, of an arm at rest at a joint angle [rad]: shape (AXES, 4)."""
+def acceleration_slopes(angle: float, plant: Plant) -> Floats:
+    """Derivatives of the readings by x at a sample's end, of an arm at rest at an angle [rad]: shape (AXES, 4)."""
     at_rest = np.tile([angle * plant.gear, 0.0, 0.0, 0.0], (4, 1))
-    up, down = (felt_over(at_rest, at_rest + side * np.diag(_SMALL), plant) for side in (1, -1))
+    up, down = (mean_accelerations(at_rest, at_rest + side * np.diag(_SMALL), plant) for side in (1, -1))
     return (up - down).T / (2 * _SMALL)
 
 
-def steady_felt_gain(arm: LinearArms, slopes: Floats, noise: Noise, kept: float, spread: tuple[float, float]) -> Floats:
+def steady_accelerometer_gain(
+    arm: LinearArms, slopes: Floats, noise: Noise, decay: float, spread: tuple[float, float]
+) -> Floats:
     """Steady-state gain L, shape (5, 1 + AXES), of one linear arm at one angle.
 
     Args:
         arm: The linear arm.
         slopes: dv/dx / T, shape (AXES, 4).
         noise: Of the process.
-        kept: Share of d that is left after a sample.
-        spread: Standard deviations of what is felt along and across the hand [m/s^2].
+        decay: Share of d that is left after a sample.
+        spread: Standard deviations of the readings along and across the hand [m/s^2].
     """
-    transition, process = np.diag([0.0, 0.0, 0.0, 0.0, kept]), np.zeros((5, 5))
+    transition, process = np.diag([0.0, 0.0, 0.0, 0.0, decay]), np.zeros((5, 5))
     transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
     for by_noise, deviation in ((arm.by_torque, noise.torque), (arm.by_acceleration, noise.acceleration)):
         process[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
@@ -97,55 +99,57 @@ def steady_felt_gain(arm: LinearArms, slopes: Floats, noise: Noise, kept: float,
 
 
 @lru_cache(maxsize=8)
-def felt_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats]:
+def accelerometer_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats]:
     """Gains L at each of `ANGLES`: of a motor that slides, at each of `_SPEEDS`, and of one that sticks."""
     plant, reach = params.plant(), 2 * params.link_length + params.hand_length
     moving, held = (linear_arm(of) for of in (params, replace(params, motor_inertia=_HELD * params.motor_inertia)))
     slides, sticks = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
     for k, angle in enumerate(ANGLES):
-        slopes = felt_slopes(angle, plant)
+        slopes = acceleration_slopes(angle, plant)
         arm = LinearArms(*(part[k] for part in moving))
         for j, speed in enumerate(_SPEEDS):
             across = float(np.hypot(SPREAD, reach * 4 * _ERROR * speed**2))
-            slides[k, j] = steady_felt_gain(arm, slopes, noise, 1.0, (SPREAD, across))
+            slides[k, j] = steady_accelerometer_gain(arm, slopes, noise, 1.0, (SPREAD, across))
         rest = LinearArms(*(part[k] for part in held))
-        sticks[k] = steady_felt_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
+        sticks[k] = steady_accelerometer_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
     sticks[:, [0, 1, 4]] = sticks[:, :, 0] = 0.0
     sticks[:, 0, 0] = AT_REST
     return slides, sticks
 
 
-class FeltObserver(StickSlipObserver):
+class AccelerometerObserver(StickSlipObserver):
     """Kalman filter for arms with design parameters `params` and an accelerometer on their ends."""
 
     def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
         super().__init__(params, noise)
         self._plant = params.plant()
-        self._slides, self._sticks = felt_gains(params, noise or Noise())
+        self._slides, self._sticks = accelerometer_gains(params, noise or Noise())
 
-    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> FeltEstimate:
+    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> AccelerometerEstimate:
         """Bring the estimate up to this sample, see `StickSlipObserver`."""
         assert reading.acceleration is not None
         found = super().update(estimate, reading, begins)
-        first = estimate.bias if isinstance(estimate, FeltEstimate) else reading.acceleration
+        first = estimate.bias if isinstance(estimate, AccelerometerEstimate) else reading.acceleration
         bias = np.where(begins[:, None], reading.acceleration, first)
-        return FeltEstimate(found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias)
+        return AccelerometerEstimate(
+            found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias
+        )
 
     def _correct(
         self, estimate: Estimate, reading: Reading, begins: Flags, states: Floats, disturbances: Floats
     ) -> None:
         """Correct predicted states, see `StickSlipObserver`."""
-        assert isinstance(estimate, FeltEstimate)
+        assert isinstance(estimate, AccelerometerEstimate)
         correction = self._correction(estimate, reading, states)
         states[:, :X] = np.clip(states[:, :X] + correction[:, :X], -LARGEST, LARGEST)
         disturbances[:] = np.clip(estimate.disturbance + correction[:, X], -LARGEST_TORQUE, LARGEST_TORQUE)
 
-    def _correction(self, estimate: FeltEstimate, reading: Reading, predicted: Floats) -> Floats:
+    def _correction(self, estimate: AccelerometerEstimate, reading: Reading, predicted: Floats) -> Floats:
         """Correction of [x; d], shape (n, 5)."""
         assert reading.acceleration is not None
         rests = (predicted[:, 1] == 0) & (np.abs(reading.motor_angle - predicted[:, 0]) <= SLIDES)
-        felt, variance = unfiltered(reading.acceleration, estimate.felt)
-        acceleration = felt.T - estimate.bias - felt_over(estimate.state, predicted[:, :X], self._plant)
+        readings, variance = unfiltered(reading.acceleration, estimate.acceleration)
+        acceleration = readings.T - estimate.bias - mean_accelerations(estimate.state, predicted[:, :X], self._plant)
         acceleration[variance.T > SPREAD**2] = 0.0
         innovation = np.column_stack([reading.motor_angle - predicted[:, 0], acceleration])
         angle = predicted[:, 0] / self.params.gear_ratio
