@@ -42,6 +42,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "belt_stiffening": (0.0, 0.9),
     "belt_stiffening_torsion": (1e-4, 1.0),
     "friction_drift": (-0.5, 0.5),
+    "presliding_deflection": (0.0, 0.1),
 }
 """Lowest and highest values of the fields that are not just positive."""
 
@@ -124,6 +125,7 @@ class ArmParams:
     belt_stiffening: float = 0.0  # b        [-]           softer by b at small torsion, stiffer by b at large
     belt_stiffening_torsion: float = 0.01  # theta_0  [rad]         at which the belt has its mean stiffness K_s
     friction_drift: float = 0.0  # [-]           change of all friction from the episode's start to its end
+    presliding_deflection: float = 0.0  # [rad]         of the motor, by which it gives before it slips, at tau_c
 
     def __post_init__(self) -> None:
         """Convert every field to float and check it."""
@@ -153,7 +155,7 @@ WHOLE = ("torque_ripple_order",)
 DRIVE_EFFECTS = (
     *("current_loop_time_constant", "command_latency", "torque_constant_error"),
     *("static_friction_excess", "friction_variation", "torque_ripple"),
-    *("kinematic_error", "belt_stiffening", "friction_drift"),
+    *("kinematic_error", "belt_stiffening", "friction_drift", "presliding_deflection"),
 )
 """Fields of which each is an effect of the drive as it is built; an arm in which all are zero has the ideal drive."""
 NOMINAL = ArmParams()

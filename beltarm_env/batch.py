@@ -15,7 +15,7 @@ from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine.blocks import MAX_THREADS
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
-from beltarm_env.kernels.layout import BUILT, IDEAL
+from beltarm_env.kernels.layout import IDEAL, REAL
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
 from beltarm_env.physics.models import MODELS
@@ -254,7 +254,7 @@ class ArmBatch:
     @property
     def driven(self) -> at.Driven:
         """Whether drives as they are built are among the arms."""
-        return BUILT if self._num_built else IDEAL
+        return REAL if self._num_built else IDEAL
 
     @property
     def all_arms(self) -> Integers:

@@ -12,7 +12,7 @@ from baselines.estimation.simulation_lanes import Simulation, load, load_command
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import advance_built_block
+from beltarm_env.kernels.advance import advance_real_block
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
 from beltarm_env.physics.models import LUMPED
@@ -31,7 +31,7 @@ def move_on(commands: Floats, held: int, room: Simulation) -> None:
     load_commands(room.loaded, commands, held)
     write_ripple(room.loaded, room.z, arms, room.shapes, room.ripple)
     load_torques(room.loaded, arms, room.z, room.ripple, room.actions)
-    advance_built_block(room.loaded, room.work, room.actions, arms, LUMPED)
+    advance_real_block(room.loaded, room.work, room.actions, arms, LUMPED)
 
 
 @inlined
@@ -70,7 +70,7 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
         for lane in range((end - begin) * arms if accelerometer else 0):
             tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
             room.velocities[lane], room.velocities[LANES + lane] = tip.x_speed, tip.y_speed
-        advance_built_block(block, room.work, room.actions, (end - begin) * arms, LUMPED)
+        advance_real_block(block, room.work, room.actions, (end - begin) * arms, LUMPED)
         for k in range(begin, end):
             for arm in range(arms):
                 lane = (k - begin) * arms + arm

@@ -33,7 +33,8 @@ from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import BUILT_WORK_ROWS, begin_friction, begin_lag
+from beltarm_env.kernels.advance import REAL_WORK_ROWS
+from beltarm_env.kernels.drives import begin_friction, begin_lag
 from beltarm_env.kernels.layout import LANES, Rows, store_drive, store_plant
 from beltarm_env.physics.drive import drive_of
 from beltarm_env.physics.models import LUMPED
@@ -56,7 +57,7 @@ class Simulation(NamedTuple):
 
     loaded: Rows  # arms as they are believed in, shape (_ROWS * LANES,)
     block: Rows  # copies of them, likewise
-    work: Rows  # shape (BUILT_WORK_ROWS * LANES,)
+    work: Rows  # shape (REAL_WORK_ROWS * LANES,)
     actions: Rows  # shape (LANES,)
     velocities: Floats  # of the arm's end where a lane begins, shape (2 * LANES,); (2,) without an accelerometer
     z: Rows  # of the arms, see `take`
@@ -71,7 +72,7 @@ class Simulation(NamedTuple):
 def simulation_room(size: int) -> Simulation:
     """Room for simulations of arms of which z has `size` entries."""
     shapes, fields = 2 * len(ORDERS), len(FIELDS)
-    rows = (_ROWS, _ROWS, BUILT_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
+    rows = (_ROWS, _ROWS, REAL_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
     room = Simulation._make(np.zeros(count * LANES) for count in rows)
     return room if size > SIZE else room._replace(velocities=np.zeros(2))
 

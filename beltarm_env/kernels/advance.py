@@ -1,7 +1,8 @@
 """Motion of a block of arms over one control period.
 
-All arms of a block take the step side by side. Those whose motor stops or breaks away within it are gathered in a block
-of their own, stepped to that instant side by side, and then over what is left; few need that twice.
+All arms take the sample in one step, side by side. Those whose motor may stop or break away within it, or that need
+shorter steps, are left to `pieces`. An ideal drive is None: the same source gives code without any of a real drive's
+effects. Arms with an ideal drive among others are moved by that code, as they are alone.
 """
 
 from __future__ import annotations
@@ -9,156 +10,150 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from beltarm_env.arm import Plant
 from beltarm_env.engine import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state, whole_vectors
-from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
-from beltarm_env.physics.integrator import mode_change, mode_margin
-from beltarm_env.physics.models import Model, sliding_direction
-from beltarm_env.physics.state import ArmState
+from beltarm_env.kernels.layout import (
+    IDEAL,
+    LANES,
+    REAL,
+    Driven,
+    drive_among,
+    load_plant,
+    load_stages,
+    load_state,
+    store_state,
+)
+from beltarm_env.kernels.pieces import AFTER, BEFORE, PIECE_ROWS, SUSPECT, WHOLE, either, take_part, take_pieces
+from beltarm_env.physics.drive import angles_of
+from beltarm_env.physics.events import stays_in_mode
+from beltarm_env.physics.friction import mode_of_giving
+from beltarm_env.physics.models import Model
+from beltarm_env.physics.step import needed_rate, rk4_step, step_length
+from beltarm_env.physics.torque import steady, torques_of_two
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
 
-MAX_MODE_CHANGES = 8
-"""Within one integration step; more than two or three do not occur, and the rest would be taken in the last mode."""
+# Rows of the plant's coefficients that drift.
+_VISCOUS_NOW = at.PLANT + Plant._fields.index("viscous_friction")
+_COULOMB_NOW = at.PLANT + Plant._fields.index("coulomb_friction")
+_LIMIT = at.PLANT + Plant._fields.index("torque_limit")
 
-# Rows of the working block: as in `runge_kutta`, then
-_MARGIN = RK4_ROWS  # negative once the mode has been left
-_LANE = _MARGIN + 1  # where the arm came from
-_SIDE = _LANE + 1  # to which a motor at rest breaks away
-_REST = _SIDE + 1  # time that is left once the mode has changed [s]
-WORK_ROWS = _REST + 1
+REAL_WORK_ROWS = PIECE_ROWS
+WORK_ROWS = PIECE_ROWS + 4
+"""Rows of `pieces`, and states of arms with an ideal drive."""
 
 
 @compiled
-def advance_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
+def advance_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
     """Advance the first `count` arms of a block by one control period.
 
     Args:
         block: As `layout` describes.
         work: Room for WORK_ROWS rows.
-        actions: Motor torques over their limits, shape (LANES,).
+        actions: Torques commanded, over their limits, shape (LANES,).
         count: Number of arms.
         model: Whose equations of motion.
+        driven: Whether real drives are among the arms.
     """
-    for substep in range(_most_substeps(block, count)):
-        _step(block, work, actions, count, substep, model)
-        pending = _gather_unfinished(block, work, count)
-        for _ in range(MAX_MODE_CHANGES):
-            if pending == 0:
-                break
-            _step_past_mode_change(work, _pad(work, pending), model)
-            pending = _put_back_finished(block, work, pending, model)
-        for i in range(pending):
-            _put_back(block, work, i)
+    if driven is IDEAL:
+        _advance(block, work, actions, count, model, IDEAL)
+        return
+    real = 0.0
+    for j in range(count):
+        real += block[at.DRIVEN * LANES + j]
+    if real == 0.0:
+        _advance(block, work, actions, count, model, IDEAL)
+        return
+    kept = work[PIECE_ROWS * LANES :]
+    if real < count:
+        for j in range(count):
+            store_state(kept, 0, j, load_state(block, at.STATE, j))
+        _advance(block, work, actions, count, model, IDEAL)
+        for j in range(count):  # a moved arm where the drive is ideal, where it was elsewhere
+            x, y = load_state(kept, 0, j), load_state(block, at.STATE, j)
+            store_state(block, at.STATE, j, x)
+            store_state(kept, 0, j, y)
+    advance_real_block(block, work, actions, count, model)
+    if real < count:
+        for j in range(count):
+            if block[at.DRIVEN * LANES + j] == 0.0:
+                store_state(block, at.STATE, j, load_state(kept, 0, j))
 
 
 @compiled
-def _most_substeps(block: Floats, count: int) -> int:
-    stiff = 0  # counted first, because that loop is vectorised and hardly ever finds one
-    for j in range(count):
-        stiff += 1 if block[at.SUBSTEPS * LANES + j] > 1.0 else 0
-    if stiff == 0:
-        return 1
-    most = 1.0
-    for j in range(count):
-        most = max(most, block[at.SUBSTEPS * LANES + j])
-    return int(most)
+def advance_real_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
+    """Advance the first `count` arms of a block by one control period, none of which has an ideal drive.
 
-
-@compiled
-def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int, model: Model) -> None:
-    """Step all arms in the friction mode they begin in, keeping the states before the step in `work`.
-
-    An arm that needs fewer substeps takes one of no length.
+    Its C has no equations of ideal drives. Arguments are those of `advance_block`, with room for REAL_WORK_ROWS rows.
     """
+    _advance(block, work, actions, count, model, REAL)
+
+
+@compiled
+def advance_part(block: Floats, work: Floats, actions: Floats, duration: float, model: Model) -> None:
+    """Advance the arm of the first lane by the first `duration` seconds of a control period, whatever its drive.
+
+    An arm with an ideal drive moves as one behind a drive without any effect. Arguments are those of
+    `advance_real_block`.
+    """
+    torque, deflection, x = block[at.TORQUE * LANES], block[at.DEFLECTION * LANES], load_state(block, at.STATE, 0)
+    _take_whole_step(block, work, actions, 1, model, REAL)
+    block[at.TORQUE * LANES], block[at.DEFLECTION * LANES] = torque, deflection
+    store_state(block, at.STATE, 0, x)
+    work[WHOLE * LANES] = 0.0
+    take_part(block, work, duration, model)
+
+
+@compiled
+def _advance(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
+    _take_whole_step(block, work, actions, count, model, driven)
+    take_pieces(block, work, count, model, driven)
+
+
+@compiled
+def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
+    """Take the whole sample in one step; mark the arms for which that may not do, and leave them where they are."""
     for j in range(count):
-        x, plant = load_state(block, at.STATE, j), load_plant(block, j)
-        substeps = block[at.SUBSTEPS * LANES + j]
-        torque = actions[j] * plant.torque_limit
-        work[TORQUE * LANES + j] = torque
-        work[DIRECTION * LANES + j] = sliding_direction(x, torque, plant, model)
-        work[DT * LANES + j] = CONTROL_PERIOD / substeps if substep < substeps else 0.0
-    rk4_steps(block, work, count, model)
-    for j in range(count):
-        x, y = load_state(block, at.STATE, j), load_state(work, NEXT, j)
-        torque, direction = work[TORQUE * LANES + j], work[DIRECTION * LANES + j]
-        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, load_plant(block, j), model)
-        store_state(work, at.STATE, j, x)
-        store_state(block, at.STATE, j, y)
-
-
-@compiled
-def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
-    """Close the ranks in `work` to the arms that left their friction mode within the step."""
-    pending = 0
-    for j in range(count):  # without a branch, which would be mispredicted again and again
-        work[_LANE * LANES + pending] = j
-        pending += 1 if work[_MARGIN * LANES + j] < 0.0 else 0
-    for i in range(pending):
-        lane = int(work[_LANE * LANES + i])
-        for row in range(at.PLANT):
-            work[row * LANES + i] = work[row * LANES + lane]
-            work[(NEXT + row) * LANES + i] = block[row * LANES + lane]
-        for row in range(at.PLANT, at.KINEMATICS):
-            work[row * LANES + i] = block[row * LANES + lane]
-        for row in range(TORQUE, NEXT):
-            work[row * LANES + i] = work[row * LANES + lane]
-    return pending
-
-
-@compiled
-def _pad(work: Floats, pending: int) -> int:
-    """Fill up with copies of the first arm to whole vectors."""
-    padded = whole_vectors(pending)
-    for i in range(pending, padded):
-        for row in range(at.KINEMATICS):
-            work[row * LANES + i] = work[row * LANES]
-        for row in range(TORQUE, NEXT + 4):
-            work[row * LANES + i] = work[row * LANES]
-    return padded
-
-
-@compiled
-def _step_past_mode_change(work: Floats, pending: int, model: Model) -> None:
-    """Step to the instant of stopping or breaking away, then over the rest in the mode that follows."""
-    for i in range(pending):
-        x, y, plant = load_state(work, at.STATE, i), load_state(work, NEXT, i), load_plant(work, i)
-        torque, direction, dt = work[TORQUE * LANES + i], work[DIRECTION * LANES + i], work[DT * LANES + i]
-        fraction, side = mode_change(x, torque, direction, dt, y, plant, model)
-        work[_SIDE * LANES + i] = side
-        work[_REST * LANES + i] = dt - fraction * dt
-        work[DT * LANES + i] = fraction * dt
-    rk4_steps(work, work, pending, model)
-    for i in range(pending):
-        z, torque, direction = load_state(work, NEXT, i), work[TORQUE * LANES + i], work[DIRECTION * LANES + i]
-        at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
-        stopped = sliding_direction(at_rest, torque, load_plant(work, i), model)
-        work[DIRECTION * LANES + i] = stopped if direction != 0.0 else work[_SIDE * LANES + i]
-        work[DT * LANES + i] = work[_REST * LANES + i]
-        store_state(work, at.STATE, i, at_rest)
-    rk4_steps(work, work, pending, model)
-
-
-@compiled
-def _put_back_finished(block: Floats, work: Floats, pending: int, model: Model) -> int:
-    """Write the arms that stayed in their mode to `block` and close the ranks of the others."""
-    unfinished = 0
-    for i in range(pending):
-        y = load_state(work, NEXT, i)
-        torque, direction = work[TORQUE * LANES + i], work[DIRECTION * LANES + i]
-        margin = mode_margin(y, torque, direction, load_plant(work, i), model)
-        if margin < 0.0:
-            for row in range(WORK_ROWS):
-                work[row * LANES + unfinished] = work[row * LANES + i]
-            unfinished += 1
-        else:
-            _put_back(block, work, i)
-    return unfinished
-
-
-@compiled
-def _put_back(block: Floats, work: Floats, i: int) -> None:
-    lane = int(work[_LANE * LANES + i])
-    store_state(block, at.STATE, lane, load_state(work, NEXT, i))
+        after = actions[j] * block[_LIMIT * LANES + j]
+        before, torques, low, high, torque, deflection = after, steady(after), after, after, after, 0.0
+        if driven is not IDEAL:
+            shift = at.TARGETS * LANES + j
+            t3, t2, t1 = block[shift + 2 * LANES], block[shift + LANES], block[shift]
+            t0 = after * block[at.GAIN * LANES + j]
+            block[shift + 3 * LANES], block[shift + 2 * LANES], block[shift + LANES], block[shift] = t3, t2, t1, t0
+            worn = 1 + block[at.DRIFT * LANES + j] * (block[at.STEP * LANES + j] + 0.5)
+            block[_VISCOUS_NOW * LANES + j] = block[at.VISCOUS * LANES + j] * worn
+            block[_COULOMB_NOW * LANES + j] = block[at.COULOMB * LANES + j] * worn
+            late, rate = block[at.LATE * LANES + j], block[at.LAG_RATE * LANES + j]
+            before = t1 if late == 0.0 else (t2 if late == 1.0 else t3)
+            after = t0 if late == 0.0 else (t1 if late == 1.0 else t2)
+            before = before if block[at.SPLIT * LANES + j] > 0.0 else after
+            torque = block[at.TORQUE * LANES + j] if rate > 0.0 else before
+            by_before, by_after = load_stages(block, at.BY_BEFORE, j), load_stages(block, at.BY_AFTER, j)
+            torques = torques_of_two(torque, before, after, by_before, by_after)
+            low, high = (before, after) if before < after else (after, before)
+            low, high = torque if torque < low else low, torque if torque > high else high
+            deflection = block[at.DEFLECTION * LANES + j]
+        x, plant, drive = load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, driven)
+        direction = 1.0 if x.motor_speed > 0.0 else (-1.0 if x.motor_speed < 0.0 else 0.0)
+        if drive is not None:
+            direction = mode_of_giving(deflection) if drive.spring > 0.0 else direction
+        angles = angles_of(x, plant, drive, deflection)
+        needed = needed_rate(x, angles, torque, high - low, direction, plant, drive)
+        _, steps = step_length(CONTROL_PERIOD, needed, block[at.SUBSTEPS * LANES + j])
+        step = rk4_step(x, angles, torques, direction, CONTROL_PERIOD, plant, drive, model)
+        stays = stays_in_mode(x, angles, step, direction, CONTROL_PERIOD, low, high, plant, drive, model)
+        whole = stays & (steps == 1.0)
+        work[BEFORE * LANES + j] = before
+        work[AFTER * LANES + j] = after
+        work[SUSPECT * LANES + j] = 0.0 if stays else 1.0
+        if drive is not None:
+            whole = whole | (block[at.DRIVEN * LANES + j] == 0.0)
+            gave = step.state.motor_angle - x.motor_angle if direction == 0.0 else 0.0
+            moved = (drive.spring > 0.0) & whole
+            block[at.TORQUE * LANES + j] = torques.end if whole else torque
+            block[at.DEFLECTION * LANES + j] = deflection + gave if moved else deflection
+        work[WHOLE * LANES + j] = 1.0 if whole else 0.0
+        store_state(block, at.STATE, j, either(whole, step.state, x))

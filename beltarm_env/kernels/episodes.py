@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beltarm_env.arm import plant_of
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import begin_drive
+from beltarm_env.kernels.drives import begin_drive
 from beltarm_env.kernels.layout import (
     LANES,
     Driven,
@@ -23,6 +23,7 @@ from beltarm_env.kernels.layout import (
 )
 from beltarm_env.kernels.sense import begin_sensing
 from beltarm_env.physics.drive import drive_of, resting
+from beltarm_env.physics.friction import begun_deflection
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
@@ -80,6 +81,7 @@ def begin_episodes(
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
         begin_drive(block, j, table[i])
+        block[at.DEFLECTION * LANES + j] = begun_deflection(x.motor_speed, drive_of(table[i]))
         of_sensors, delay = draws[i, FIRST_OF_SENSORS:], float(delays[arms[i]])
         begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, delay, of_sensors)
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
-from beltarm_env.physics.driven.events import (
+from beltarm_env.physics.events import (
     CLOSE,
     EXIT_ITERATIONS,
     Margin,

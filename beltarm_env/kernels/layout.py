@@ -18,8 +18,8 @@ from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined, with_constants
 from beltarm_env.physics.drive import Drive
-from beltarm_env.physics.driven.torque import Stages
 from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.torque import Stages
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.timing import LATENCY_SAMPLES
 
@@ -33,6 +33,7 @@ STATE = 0
 PLANT = STATE + len(ArmState._fields)
 KINEMATICS = PLANT + Plant._fields.index("double_link")  # the rest of the plant: not in the equations of motion
 DRIVE = PLANT + len(Plant._fields)
+SPRING = DRIVE + Drive._fields.index("spring")
 LAG_TIME = DRIVE + len(Drive._fields)  # T_i [s]
 LAG_RATE = LAG_TIME + 1  # 1 / T_i [1/s], 0 for a motor that follows at once
 MOVE = LAG_RATE + 1
@@ -65,12 +66,13 @@ COULOMB = VISCOUS + 1
 DRIFT = COULOMB + 1  # of friction, per sample
 TORQUE = DRIFT + 1  # of the motor now [N m]
 TARGETS = TORQUE + 1  # torques commanded in this sample, 1, 2 and 3 ago [N m]
-ROWS = TARGETS + LATENCY_SAMPLES + 1
+DEFLECTION = TARGETS + LATENCY_SAMPLES + 1  # of a motor that gives before it slips [rad]; `friction.SLIPS` if it does
+ROWS = DEFLECTION + 1
 
 Driven = bool | None
 IDEAL: Final = None
-BUILT: Final = True
-"""Whether drives as they are built are among the arms: a kernel compiled for IDEAL has none of their equations."""
+REAL: Final = True
+"""Whether real drives are among the arms: a kernel compiled for IDEAL has none of their equations."""
 
 MAX_DELAY = 2
 _VECTOR = 8  # lanes that the widest vector units take at once
@@ -156,21 +158,21 @@ def drive_among(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive 
 
 @inlined
 def load_drive(block: NDArray[np.float64], lane: int) -> Drive:
-    """Load the coefficients of one lane's drive as it is built."""
+    """Load the coefficients of one lane's real drive."""
     at = DRIVE * LANES + lane
     return Drive._make(block[at + k * LANES] for k in range(len(Drive._fields)))
 
 
 @inlined
 def load_stages(block: NDArray[np.float64], row: int, lane: int) -> Stages:
-    """Load a number for each stage of a step, from six rows starting at `row`."""
+    """Load a number for each stage of a step, from as many rows starting at `row`."""
     at = row * LANES + lane
     return Stages._make(block[at + k * LANES] for k in range(len(Stages._fields)))
 
 
 @inlined
 def store_stages(block: NDArray[np.float64], row: int, lane: int, stages: Stages) -> None:
-    """Write a number for each stage of a step to six rows starting at `row`."""
+    """Write a number for each stage of a step to as many rows starting at `row`."""
     at = row * LANES + lane
     for k, value in enumerate(stages):
         block[at + k * LANES] = value

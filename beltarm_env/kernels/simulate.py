@@ -16,10 +16,12 @@ from beltarm_env.arm import plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance import advance_block
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
+from beltarm_env.kernels.advance import WORK_ROWS, advance_block
+from beltarm_env.kernels.drives import begin_drive
 from beltarm_env.kernels.layout import (
+    IDEAL,
     LANES,
+    REAL,
     ROWS,
     Rows,
     aligned_zeros,
@@ -38,8 +40,8 @@ from beltarm_env.timing import LATENCY_SAMPLES
 
 X = 4
 """Entries of an arm's state x."""
-DRIVE_STATES = 1 + LATENCY_SAMPLES
-"""Entries beside x: torque of the motor and past commands, which are adjacent rows of a block."""
+DRIVE_STATES = 2 + LATENCY_SAMPLES
+"""Entries beside x: torque of the motor, past commands, and the deflection of a motor that gives before it slips."""
 
 
 class Room(NamedTuple):
@@ -52,7 +54,7 @@ class Room(NamedTuple):
 
 def room_for(count: int) -> Room:
     """Room for n arms, whatever their drives."""
-    return Room(empty_blocks(count), aligned_zeros(DRIVEN_WORK_ROWS * LANES), aligned_zeros(LANES))
+    return Room(empty_blocks(count), aligned_zeros(WORK_ROWS * LANES), aligned_zeros(LANES))
 
 
 def room_for_one() -> Room:
@@ -90,10 +92,16 @@ def rest_arm(block: Floats, lane: int, motor_angle: float, state: Floats) -> Non
 
 
 @inlined
+def _beside(column: int) -> int:
+    """Return the row of an entry of a state beside x."""
+    return at.DEFLECTION if column == X + DRIVE_STATES - 1 else at.TORQUE + column - X
+
+
+@inlined
 def _put(block: Floats, lane: int, state: Floats) -> None:
     store_state(block, at.STATE, lane, ArmState(state[0], state[1], state[2], state[3]))
     for column in range(X, state.shape[0]):
-        block[(at.TORQUE + column - X) * LANES + lane] = state[column]
+        block[_beside(column) * LANES + lane] = state[column]
 
 
 @inlined
@@ -101,7 +109,7 @@ def _take(block: Floats, lane: int, state: Floats) -> None:
     x = load_state(block, at.STATE, lane)
     state[0], state[1], state[2], state[3] = x.motor_angle, x.motor_speed, x.torsion, x.torsion_speed
     for column in range(X, state.shape[0]):
-        state[column] = block[(at.TORQUE + column - X) * LANES + lane]
+        state[column] = block[_beside(column) * LANES + lane]
 
 
 @inlined
@@ -124,9 +132,9 @@ def advance_arm(room: Room, state: Floats, torque: float, limit: float, model: M
     _put(block, 0, state)
     room.actions[0] = _action(torque, limit)
     if state.shape[0] > X:
-        advance_driven_block(block, room.work, room.actions, 1, model)
+        advance_block(block, room.work, room.actions, 1, model, REAL)
     else:
-        advance_block(block, room.work, room.actions, 1, model)
+        advance_block(block, room.work, room.actions, 1, model, IDEAL)
     _take(block, 0, state)
 
 
@@ -195,9 +203,9 @@ def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, mo
             _put(block, i - low, states[i])
             room.actions[i - low] = _action(torques[i], limits[i])
         if size > X:
-            advance_driven_block(block, room.work, room.actions, high - low, model)
+            advance_block(block, room.work, room.actions, high - low, model, REAL)
         else:
-            advance_block(block, room.work, room.actions, high - low, model)
+            advance_block(block, room.work, room.actions, high - low, model, IDEAL)
         for i in range(low, high):
             _take(block, i - low, result[i])
 

@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.engine.blocks import take_block
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance import advance_block
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
+from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.episodes import totals_so_far
 from beltarm_env.kernels.layout import (
-    IDEAL,
     LANES,
     Driven,
     aligned_rows,
@@ -47,7 +45,7 @@ REWARD = TERMS + 4
 TERMINATED = REWARD + 1
 TRUNCATED = TERMINATED + 1
 _WORK = TRUNCATED + 1  # rows of `advance`
-SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
+SCRATCH_ROWS = _WORK + WORK_ROWS
 
 
 def new_scratch(threads: int, lanes: int = LANES) -> tuple[Floats, Singles]:
@@ -119,10 +117,7 @@ def _step_block(
     count = len(observations)
     if integrate:
         work, actions = scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES]
-        if driven is IDEAL:
-            advance_block(block, work, actions, count, model)
-        else:
-            advance_driven_block(block, work, actions, count, model)
+        advance_block(block, work, actions, count, model, driven)
     sense_block(block, count, tier, driven)
     charge(block, scratch, count, profile, driven)
     observe_block(block, tile, observations, profile, tier, driven)

@@ -14,6 +14,7 @@ nothing of all this in their loops.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +23,16 @@ from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.state import ArmState, belt_torque
-from beltarm_env.physics.trigonometry import sin_cos, sine_cosine, wrapped
+from beltarm_env.physics.trigonometry import short_sin_cos, sin_cos, sine_cosine, turn_sin_cos, wrapped
 
 DRIVE_COLUMNS = tuple(FIELDS.index(name) for name in DRIVE_EFFECTS)
 """Columns of a table of arms that are all zero where the drive is ideal."""
+
+
+PRESLIDING_DAMPING = 0.5
+"""Damping ratio of a motor on the spring of its presliding; an assumption."""
+SMALLEST_DEFLECTION = 1e-6
+"""Deflection of the motor from which on it counts [rad]; it moves the arm's end by 6 nm."""
 
 
 class Drive(NamedTuple):
@@ -42,6 +49,9 @@ class Drive(NamedTuple):
     error_cos: float  # e sin(phi_e)  [rad]
     softening: float  # b K_s: what the belt lacks at small torsion  [N m/rad]
     knee: float  # theta_0^2  [rad^2]
+    spring: float  # sigma_0 of a motor that sticks and gives [N m/rad]; 0 where it does not give
+    damper: float  # sigma_1 [N m s/rad]
+    spring_rate: float  # sqrt(sigma_0 / M_a1) [rad/s]
 
 
 class Transmission(NamedTuple):
@@ -60,6 +70,9 @@ def drive_of(row: Any) -> Drive:
     variation_sine, variation_cosine = sine_cosine(row[COLUMN.friction_variation_phase])
     error_sine, error_cosine = sine_cosine(row[COLUMN.kinematic_error_phase])
     knee = row[COLUMN.belt_stiffening_torsion]
+    inertia, gives = row[COLUMN.motor_inertia], row[COLUMN.presliding_deflection]
+    spring = row[COLUMN.coulomb_friction] / gives if gives >= SMALLEST_DEFLECTION else 0.0
+    rate = math.sqrt(spring / inertia)
     return Drive(
         static_excess=row[COLUMN.static_friction_excess],
         inverse_stribeck_speed=1 / row[COLUMN.stribeck_speed],
@@ -72,6 +85,9 @@ def drive_of(row: Any) -> Drive:
         error_cos=error * error_sine,
         softening=row[COLUMN.belt_stiffening] * row[COLUMN.belt_stiffness],
         knee=knee * knee,
+        spring=spring,
+        damper=2 * PRESLIDING_DAMPING * rate * inertia,
+        spring_rate=rate,
     )
 
 
@@ -81,7 +97,7 @@ def built_drive(row: Floats) -> Drive | None:
 
 
 class Angles(NamedTuple):
-    """Sines and cosines of one state: of phi, of twice the motor's angle, and of the ripple."""
+    """What torques depend on beside the state: sines and cosines of its angles, and what friction sees."""
 
     sin_phi: float
     cos_phi: float
@@ -89,49 +105,47 @@ class Angles(NamedTuple):
     cos_double: float
     sin_ripple: float  # of n theta_a + phi_c
     cos_ripple: float
+    speed: float  # omega_a of which dry friction depends [rad/s]
+    deflection: float  # of a motor that sticks and gives [rad]
 
 
 @inlined
-def angles_of(x: ArmState, plant: Plant, drive: Drive | None) -> Angles:
-    """Return sines and cosines of a state."""
+def angles_of(x: ArmState, plant: Plant, drive: Drive | None, deflection: float = 0.0) -> Angles:
+    """Return sines and cosines of a state, with the deflection of a motor that sticks [rad]."""
     sin_phi, cos_phi = sin_cos(x.motor_angle * plant.inverse_gear - x.torsion)
     if drive is None:
-        return Angles(sin_phi, cos_phi, 0.0, 0.0, 0.0, 0.0)
+        return Angles(sin_phi, cos_phi, 0.0, 0.0, 0.0, 0.0, x.motor_speed, 0.0)
     sin_double, cos_double = sin_cos(wrapped(2 * x.motor_angle))
     sin_ripple, cos_ripple = sin_cos(wrapped(drive.ripple_order * x.motor_angle + drive.ripple_phase))
-    return Angles(sin_phi, cos_phi, sin_double, cos_double, sin_ripple, cos_ripple)
+    return Angles(sin_phi, cos_phi, sin_double, cos_double, sin_ripple, cos_ripple, x.motor_speed, deflection)
 
 
 @inlined
-def turned(at: Angles, turn: float, drive: Drive) -> Angles:
-    """Return the angles after a turn of the motor of less than 2 rad of twice its angle and of the ripple [rad]."""
-    s, c = sin_cos(2 * turn)
-    sine, cosine = sin_cos(drive.ripple_order * turn)
-    return Angles(
-        at.sin_phi,
-        at.cos_phi,
-        at.sin_double * c + at.cos_double * s,
-        at.cos_double * c - at.sin_double * s,
-        at.sin_ripple * cosine + at.cos_ripple * sine,
-        at.cos_ripple * cosine - at.sin_ripple * sine,
+def turned(at: Angles, double: float, ripple: float) -> Angles:
+    """Return the angles after turns of 0.5 rad of twice the motor's angle and 1.7 rad of the ripple, at most."""
+    s, c = short_sin_cos(double)
+    sine, cosine = turn_sin_cos(ripple)
+    return at._replace(
+        sin_double=at.sin_double * c + at.cos_double * s,
+        cos_double=at.cos_double * c - at.sin_double * s,
+        sin_ripple=at.sin_ripple * cosine + at.cos_ripple * sine,
+        cos_ripple=at.cos_ripple * cosine - at.sin_ripple * sine,
     )
 
 
 @inlined
-def _near(sine: float, cosine: float, d: float) -> tuple[float, float]:
+def nearer(sine: float, cosine: float, d: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle plus a small d [rad], by their series; error d^3 / 6."""
+    along = 1 - 0.5 * d * d
+    return sine * along + cosine * d, cosine * along - sine * d
+
+
+@inlined
+def near(sine: float, cosine: float, d: float) -> tuple[float, float]:
     """Return sine and cosine of an angle plus a small d [rad], by their series; error d^4 / 24."""
     half = 0.5 * d * d
     along, across = 1 - half, d - half * d * (1 / 3)
     return sine * along + cosine * across, cosine * along - sine * across
-
-
-@inlined
-def angles_near(at: Angles, phi: float, motor: float, drive: Drive) -> Angles:
-    """Return the angles at a small distance in phi and in the motor's angle [rad]."""
-    sin_phi, cos_phi = _near(at.sin_phi, at.cos_phi, phi)
-    sin_double, cos_double = _near(at.sin_double, at.cos_double, 2 * motor)
-    sin_ripple, cos_ripple = _near(at.sin_ripple, at.cos_ripple, drive.ripple_order * motor)
-    return Angles(sin_phi, cos_phi, sin_double, cos_double, sin_ripple, cos_ripple)
 
 
 @inlined
@@ -200,14 +214,16 @@ def coupling(x: ArmState, at: Angles, plant: Plant, drive: Drive | None, inertia
         return Coupling(0.0, belt_torque(x, plant), x.torsion_speed, plant.inverse_gear, 0.0, 1.0, 1 / inertia)
     gear = transmission(at, plant, drive)
     torsion, torsion_speed = belt_torsion(x, gear, plant)
-    square, u = torsion * torsion, x.motor_speed * drive.inverse_stribeck_speed
+    square, u = torsion * torsion, at.speed * drive.inverse_stribeck_speed
     sum_of_squares, falling = square + drive.knee, 1 + u * u
     product = sum_of_squares * falling
     inverse = 1 / (product * inertia)  # of all at once: a division takes as long as ten products
     with_inertia = inverse * inertia
     secant, _ = belt_stiffness(square * with_inertia * falling, plant, drive)
     belt = secant * torsion + plant.damping * torsion_speed
-    sliding = gear.friction * (1 + drive.static_excess * with_inertia * sum_of_squares)
+    share = with_inertia * sum_of_squares  # 1 / (1 + u^2), and its tangent from the speed that friction sees
+    tangent = 1 - 2 * share * u * drive.inverse_stribeck_speed * (x.motor_speed - at.speed)
+    sliding = gear.friction * (1 + drive.static_excess * share * tangent)
     ripple = drive.ripple * at.sin_ripple
     return Coupling(ripple, belt, torsion_speed, gear.ratio, gear.curvature, sliding, inverse * product)
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling, transmission
-from beltarm_env.physics.friction import friction_torque
+from beltarm_env.physics.friction import free_motor, friction_torque
 from beltarm_env.physics.state import ArmState
 
 
@@ -49,9 +49,9 @@ def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
 
 
 @inlined
-def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive) -> float:
-    """Return domega_a'/dtau_m of a motor that slides behind a drive as it is built [rad/s^2 per N m]."""
-    gear = 1 / transmission(at, plant, drive).ratio
+def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive | None) -> float:
+    """Return domega_a'/dtau_m of a motor that moves [rad/s^2 per N m]."""
+    gear = plant.gear if drive is None else 1 / transmission(at, plant, drive).ratio
     m11, m12, m22 = _inertia(at.cos_phi, gear, plant)
     return gear * gear * m22 / (m11 * m22 - m12 * m12)
 
@@ -59,27 +59,30 @@ def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive) -> float:
 @inlined
 def accelerations(
     x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, drive: Drive | None
-) -> tuple[float, float]:
-    """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `models`."""
+) -> tuple[float, float, float]:
+    """Return the accelerations of motor, torsion, and a motor that nothing holds [rad/s^2]; see `models`."""
     on = coupling(x, at, plant, drive)
     gear = plant.gear if drive is None else 1 / on.ratio
     joint_speed = x.motor_speed * on.ratio
     phi_dot = x.motor_speed * plant.inverse_gear - x.torsion_speed
     swing_rate = 2 * plant.inertia_swing * at.sin_phi * at.cos_phi
     m11, m12, m22 = _inertia(at.cos_phi, gear, plant)
-    tau_f = friction_torque(direction, on.friction, plant, drive)
+    free = free_motor(direction, drive)
+    tau_f = friction_torque(x.motor_speed, at, direction, on.friction, plant, drive)
     tau_m = torque if drive is None else torque + on.ripple
     at_motor = tau_m - plant.viscous_friction * x.motor_speed - tau_f
     on_joint = gear * at_motor - on.belt + swing_rate * phi_dot * on.torsion_speed
     on_arm = on.belt - 0.5 * swing_rate * joint_speed * joint_speed
     if drive is None:
-        joint = direction * direction * (m22 * on_joint - m12 * on_arm) / (m11 * m22 - m12 * m12)
-        return gear * joint, joint - (on_arm - m12 * joint) / m22
+        loose = (m22 * on_joint - m12 * on_arm) / (m11 * m22 - m12 * m12)
+        joint = free * loose
+        return gear * joint, joint - (on_arm - m12 * joint) / m22, gear * loose
     curved = on.curvature * x.motor_speed * x.motor_speed
     on_joint += gear * gear / plant.inverse_motor_inertia * curved
-    joint = direction * direction * (m22 * on_joint - m12 * on_arm) / (m11 * m22 - m12 * m12)
-    motor = direction * direction * gear * (joint - curved)
-    return motor, motor * plant.inverse_gear - (on_arm - m12 * joint) / m22
+    loose = (m22 * on_joint - m12 * on_arm) / (m11 * m22 - m12 * m12)
+    joint = free * loose
+    motor = free * gear * (joint - curved)
+    return motor, motor * plant.inverse_gear - (on_arm - m12 * joint) / m22, gear * (loose - curved)
 
 
 @inlined

@@ -17,7 +17,7 @@ from __future__ import annotations
 from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling
-from beltarm_env.physics.friction import friction_torque
+from beltarm_env.physics.friction import free_motor, friction_torque
 from beltarm_env.physics.state import ArmState
 
 
@@ -31,19 +31,20 @@ def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
 @inlined
 def accelerations(
     x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, drive: Drive | None
-) -> tuple[float, float]:
-    """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `models`."""
+) -> tuple[float, float, float]:
+    """Return the accelerations of motor, torsion, and a motor that nothing holds [rad/s^2]; see `models`."""
     phi_dot = x.motor_speed * plant.inverse_gear - x.torsion_speed
     m2 = plant.inertia + plant.inertia_swing * at.sin_phi * at.sin_phi
     half_m2_slope = plant.inertia_swing * at.sin_phi * at.cos_phi
     on = coupling(x, at, plant, drive, m2)
-    tau_f = friction_torque(direction, on.friction, plant, drive)
+    tau_f = friction_torque(x.motor_speed, at, direction, on.friction, plant, drive)
     tau_m = torque if drive is None else torque + on.ripple
     net = tau_m - plant.viscous_friction * x.motor_speed - tau_f - on.belt * on.ratio
-    motor = direction * direction * plant.inverse_motor_inertia * net
+    loose = plant.inverse_motor_inertia * net
+    motor = free_motor(direction, drive) * loose
     on_arm = on.belt - half_m2_slope * phi_dot * phi_dot
     arm = on_arm / m2 if drive is None else on_arm * on.inverse
-    return motor, motor * plant.inverse_gear - arm
+    return motor, motor * plant.inverse_gear - arm, loose
 
 
 @inlined

@@ -36,14 +36,15 @@ def accelerations(
         model: Whose equations of motion.
         drive: Coefficients of the drive as it is built; None for an ideal one.
     """
-    return accelerations_at(x, angles_of(x, plant, drive), torque, direction, plant, model, drive)
+    motor, torsional, _ = accelerations_at(x, angles_of(x, plant, drive), torque, direction, plant, model, drive)
+    return motor, torsional
 
 
 @inlined
 def accelerations_at(
     x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, model: Model, drive: Drive | None
-) -> tuple[float, float]:
-    """Return motor and torsional acceleration [rad/s^2] of a state whose sines and cosines are known."""
+) -> tuple[float, float, float]:
+    """Return `accelerations` of a state whose sines and cosines are known, and that of a motor that nothing holds."""
     if model is LUMPED:
         return lumped.accelerations(x, at, torque, direction, plant, drive)
     return full_arm.accelerations(x, at, torque, direction, plant, drive)
@@ -58,14 +59,13 @@ def inverse_inertia(cos_phi: float, plant: Plant, model: Model) -> tuple[float, 
 
 
 @inlined
-def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive, model: Model) -> float:
+def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive | None, model: Model) -> float:
     """Return by how much a motor that slides accelerates per torque [rad/s^2 per N m], as `accelerations_at` has it.
 
     Exactly so: with another number a motor that breaks away would at once be found to stop again.
     """
     if model is LUMPED:
-        w11, _, _ = lumped.inverse_inertia(at.cos_phi, plant)
-        return w11 * plant.gear * plant.gear
+        return plant.inverse_motor_inertia
     return full_arm.acceleration_per_torque(at, plant, drive)
 
 

@@ -2,7 +2,7 @@
 
 The bound is the fastest eigenvalue of the linear model: belt mode, belt damping, or motor friction. Behind a drive as
 it is built, the belt counts with its steepest stiffness, K_s (1 + 5/4 b), and steps get shorter where friction falls
-with the speed (`physics.driven.step.needed_rate`).
+with the speed (`physics.step.needed_rate`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.engine import compiled, inlined
-from beltarm_env.physics.driven.step import FRICTION_STEPS
+from beltarm_env.physics.drive import SMALLEST_DEFLECTION, drive_of
 from beltarm_env.physics.models import Model, inverse_inertia
+from beltarm_env.physics.step import FRICTION_STEPS, SPRING_TURN
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
@@ -55,11 +56,12 @@ def integration_substeps(plant: Plant, model: Model) -> float:
 
 
 @compiled
-def integration_limits(row: Any, model: Model) -> tuple[float, float, float]:
+def integration_limits(row: Any, model: Model) -> tuple[float, float, float, float, float]:
     """Return how close an arm comes to what can be integrated, over what is allowed, from its row.
 
-    Its fastest rate, the share of joint 1's speed that the kinematic error takes away, and the integration steps for
-    friction that falls with speed: at most 1 each.
+    Its fastest rate, the share of joint 1's speed that the kinematic error takes away, the integration steps for
+    friction that falls with speed and for a motor that gives before it slips, and the share of its spring's energy that
+    the variation of friction may give it: at most 1 each.
     """
     rate = fastest_rate(plant_of(row), model, row[COLUMN.belt_stiffening])
     slack = 2.2 * row[COLUMN.kinematic_error] * row[COLUMN.gear_ratio]
@@ -67,13 +69,18 @@ def integration_limits(row: Any, model: Model) -> tuple[float, float, float]:
     level = row[COLUMN.coulomb_friction] * (1 + row[COLUMN.friction_variation]) * (1 + excess)
     push = 2 * row[COLUMN.torque_limit] * (1 + row[COLUMN.torque_constant_error]) + level + row[COLUMN.torque_ripple]
     steps = FRICTION_STEPS * CONTROL_PERIOD * push / (row[COLUMN.motor_inertia] * row[COLUMN.stribeck_speed])
-    return rate / _MAX_RATE, slack, steps / MAX_FRICTION_STEPS if excess > 0.0 else 0.0
+    falling = steps / MAX_FRICTION_STEPS if excess > 0.0 else 0.0
+    giving = drive_of(row).spring_rate * CONTROL_PERIOD / SPRING_TURN / MAX_FRICTION_STEPS
+    given = 2 * row[COLUMN.friction_variation] * row[COLUMN.presliding_deflection] * (1 + excess) * (1 + excess)
+    return rate / _MAX_RATE, slack, falling, giving, given
 
 
 REMEDIES = (
     "lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia",
     "lower kinematic_error or gear_ratio",
     "raise stribeck_speed or motor_inertia, or lower torque_limit or coulomb_friction",
+    "raise presliding_deflection or motor_inertia, or lower coulomb_friction",
+    "lower presliding_deflection, friction_variation or static_friction_excess",
 )
 """What brings each of `integration_limits` down."""
 
@@ -83,10 +90,11 @@ def check_integrable(table: Floats, model: Model) -> None:
 
     Raises:
         ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`, a kinematic error would nearly
-            turn joint 1 backward, or friction falls too quickly with speed.
+            turn joint 1 backward, friction falls too quickly with speed, or a motor that gives before it slips is too
+            stiff, or would gain energy.
     """
     for row in table:
-        rate, slack, steps = integration_limits(row, model)
+        rate, slack, steps, giving, given = integration_limits(row, model)
         if slack > 1:
             error, gear = row[COLUMN.kinematic_error], row[COLUMN.gear_ratio]
             raise ValueError(
@@ -98,6 +106,17 @@ def check_integrable(table: Floats, model: Model) -> None:
                 f"friction that falls with speed would take {steps * MAX_FRICTION_STEPS:.3g} integration steps per "
                 f"{CONTROL_PERIOD} s, of {MAX_FRICTION_STEPS} allowed, for stribeck_speed "
                 f"{row[COLUMN.stribeck_speed]:.3g} rad/s: {REMEDIES[2]}"
+            )
+        if giving > 1:
+            raise ValueError(
+                f"a motor that gives by presliding_deflection {row[COLUMN.presliding_deflection]:.3g} rad would take "
+                f"{giving * MAX_FRICTION_STEPS:.3g} integration steps per {CONTROL_PERIOD} s, of {MAX_FRICTION_STEPS} "
+                f"allowed: {REMEDIES[3]}"
+            )
+        if given > 1:
+            raise ValueError(
+                f"with presliding_deflection {row[COLUMN.presliding_deflection]:.3g} rad the variation of friction "
+                f"would give the motor {given:.3g} times the energy that sliding takes: {REMEDIES[4]}"
             )
         if rate > 1:
             raise ValueError(
@@ -119,18 +138,21 @@ _FASTER_UP = (
 
 
 def fastest_arms(bounds: Floats) -> Floats:
-    """Return arms of which one is the fastest within some ranges, shape (32, len(FIELDS)).
+    """Return arms of which one is the fastest within some ranges, shape (64, len(FIELDS)).
 
     In the arm's inertia M2(0) and its swing S the fastest lies at an end of a range or, for the full arm, where link 2
-    is a rod alone, S = 6 M2(0). A small gear ratio makes the belt's mode fast, a large one a kinematic error large. In
-    everything else the fastest lies at one known end.
+    is a rod alone, S = 6 M2(0). A small gear ratio makes the belt's mode fast, a large one a kinematic error large. A
+    motor that gives little is fast, one that gives much may gain energy. In everything else the fastest lies at one
+    known end.
     """
     fastest = bounds[0].copy()
     fastest[[*_FASTER_UP]] = bounds[1, _FASTER_UP]
     inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
     swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))
-    corners = np.array(list(product(inertias, swings, bounds[:, COLUMN.gear_ratio])))
+    least, most = bounds[:, COLUMN.presliding_deflection]
+    gives = (max(least, SMALLEST_DEFLECTION) if most > 0 else 0.0, most)
+    corners = np.array(list(product(inertias, swings, bounds[:, COLUMN.gear_ratio], gives)))
     table = np.tile(fastest, (len(corners), 1))
-    table[:, [inertia, swing, COLUMN.gear_ratio]] = corners
+    table[:, [inertia, swing, COLUMN.gear_ratio, COLUMN.presliding_deflection]] = corners
     return table

@@ -48,6 +48,27 @@ def sin_cos(angle: float) -> tuple[float, float]:
 
 
 @inlined
+def short_sin_cos(angle: float) -> tuple[float, float]:
+    """Return sine and cosine up to 0.5 rad; error below 1e-8."""
+    z = angle * angle
+    sine = angle * ((1 - z * (1 / 6)) + z * z * (1 / 120 - z * (1 / 5040)))
+    return sine, (1 - z * (1 / 2)) + z * z * (1 / 24 - z * (1 / 720))
+
+
+@inlined
+def turn_sin_cos(angle: float) -> tuple[float, float]:
+    """Return sine and cosine up to 1.7 rad; error below 3e-9."""
+    z = angle * angle
+    z2 = z * z
+    z4 = z2 * z2
+    s0 = (1 - z * (1 / 6)) + z2 * (1 / 120 - z * (1 / 5040))
+    s1 = (1 / 362880 - z * (1 / 39916800)) + z2 * (1 / 6227020800)
+    c0 = (1 - z * (1 / 2)) + z2 * (1 / 24 - z * (1 / 720))
+    c1 = (1 / 40320 - z * (1 / 3628800)) + z2 * (1 / 479001600 - z * (1 / 87178291200))
+    return angle * (s0 + z4 * s1), c0 + z4 * c1
+
+
+@inlined
 def sine_cosine(angle: float) -> tuple[float, float]:
     """Return sine and cosine of any angle up to 1e6 rad; error below 1e-15 but for the rounding of whole turns."""
     sine, cosine = sin_cos(0.5 * wrapped(angle))

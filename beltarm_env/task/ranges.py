@@ -58,6 +58,9 @@ DRIVE_RANGES: Ranges = {
 }
 """Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/science/physics.md."""
 
+PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
+"""Range of a motor that gives before it slips; beside `TRAIN_RANGES`, of which shipped policies were trained."""
+
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 """Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""
 

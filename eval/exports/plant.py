@@ -18,8 +18,8 @@ from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, advance_part
-from beltarm_env.kernels.layout import BUILT, LANES, drive_among, load_drive, load_plant, load_state, store_state
+from beltarm_env.kernels.advance import WORK_ROWS, advance_block, advance_part
+from beltarm_env.kernels.layout import LANES, REAL, drive_among, load_drive, load_plant, load_state, store_state
 from beltarm_env.kernels.simulate import load_arm
 from beltarm_env.physics.drive import resting
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST, contained, outside_workspace, tip_motion
@@ -64,7 +64,7 @@ def empty_memory(lanes: int = LANES) -> Memory:
         np.zeros(len(FIELDS)),
         np.zeros(at.ROWS * lanes),
         np.zeros(at.ROWS * lanes),
-        np.zeros(DRIVEN_WORK_ROWS * lanes),
+        np.zeros(WORK_ROWS * lanes),
         np.zeros(lanes),
         np.zeros(len(OUTPUTS)),
     )
@@ -96,12 +96,11 @@ def refusal(memory: Memory, joint_angle: float) -> int:
             return 1 + k
     if not (LOWEST <= joint_angle and joint_angle <= HIGHEST):
         return 1 + _JOINT_ANGLE
-    rate, slack, steps = integration_limits(memory.constants, LUMPED)
-    if rate > 1.0:
-        return 2 + _JOINT_ANGLE
-    if slack > 1.0:
-        return 3 + _JOINT_ANGLE
-    return 4 + _JOINT_ANGLE if steps > 1.0 else 0
+    limits = integration_limits(memory.constants, LUMPED)
+    for k in range(len(REMEDIES)):
+        if limits[k] > 1.0:
+            return 2 + _JOINT_ANGLE + k
+    return 0
 
 
 @compiled
@@ -133,7 +132,7 @@ def step(memory: Memory, torque: float) -> bool:
     plant = load_plant(block, 0)
     action = min(max(torque / plant.torque_limit, -1.0), 1.0)
     memory.action[0] = action
-    advance_driven_block(block, memory.work, memory.action, 1, LUMPED)
+    advance_block(block, memory.work, memory.action, 1, LUMPED, REAL)
     x = contained(load_state(block, at.STATE, 0), plant)
     store_state(block, at.STATE, 0, x)
     block[at.ACTION * LANES] = action
@@ -163,7 +162,7 @@ def look(memory: Memory, torque: float, duration: float) -> None:
 @compiled
 def _measure(block: Floats, outputs: Floats) -> None:
     x, plant = load_state(block, at.STATE, 0), load_plant(block, 0)
-    tip = tip_motion(x, plant, drive_among(block, 0, BUILT))
+    tip = tip_motion(x, plant, drive_among(block, 0, REAL))
     driven = block[at.DRIVEN * LANES] > 0.0
     commanded = block[at.ACTION * LANES] * plant.torque_limit
     count = to_counts(x.motor_angle, block[at.RESOLUTION * LANES])

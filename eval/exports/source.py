@@ -31,8 +31,8 @@ from beltarm_env.engine.translation.types import (
     dtype_of,
 )
 from beltarm_env.kernels.layout import LANES, Rows
-from beltarm_env.physics.driven.events import CLOSE, NEGLIGIBLE
-from beltarm_env.physics.driven.step import ROUNDING
+from beltarm_env.physics.events import CLOSE, NEGLIGIBLE
+from beltarm_env.physics.step import ROUNDING
 from beltarm_env.task.reference import MoveShape
 from eval.exports.kernels import begin, empty_device
 

@@ -60,6 +60,12 @@ def stribeck(params: ArmParams, speed: float) -> float:
     return 1 + params.static_friction_excess / (1 + (speed / params.stribeck_speed) ** 2)
 
 
+def presliding(params: ArmParams) -> tuple[float, float]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of a motor that gives before it slips: half of critical damping."""
+    stiffness = params.coulomb_friction / params.presliding_deflection
+    return stiffness, math.sqrt(stiffness * params.motor_inertia)
+
+
 class Actuator:
     """Commands on their way to the motor, and its torque.
 

@@ -34,6 +34,7 @@ from eval.reference.drive import (
     drifted,
     friction_level,
     kinematic_error,
+    presliding,
     ripple,
     ripple_energy,
     stribeck,
@@ -103,6 +104,9 @@ class EventLocatedArm:
         self._damping = 2 * params.belt_damping_ratio * math.sqrt(params.belt_stiffness * unloaded)
         self._actuator = Actuator(params)
         self._drifted = 1.0  # friction over that at the episode's start
+        self._gives = params.presliding_deflection > 0 and params.coulomb_friction > 0
+        self._sliding = int(np.sign(state[1])) if self._gives else 0  # of a motor that gives before it slips
+        self._unloaded = float(state[0])  # angle at which its spring has no torque [rad]
         theta_a, omega_a, theta_s, omega_s = state
         alpha, alpha_rate = theta_a / params.gear_ratio, omega_a / params.gear_ratio
         self._y = np.array([alpha, alpha - theta_s, alpha_rate, alpha_rate - omega_s])
@@ -134,7 +138,16 @@ class EventLocatedArm:
         omega_1 = alpha_rate * (1 + p.gear_ratio * error_slope)
         links = self._terms(alpha + error, phi, omega_1, omega_phi)[5]
         kinetic = 0.5 * self._motor * alpha_rate**2 + links
-        return kinetic + belt_energy(p, alpha + error - phi) + ripple_energy(p, angle)
+        return kinetic + belt_energy(p, alpha + error - phi) + ripple_energy(p, angle) + self.spring_energy
+
+    @property
+    def spring_energy(self) -> float:
+        """Energy in the spring of a motor that gives before it slips [J]; as full as can be while it slides."""
+        if not self._gives:
+            return 0.0
+        spring, _ = presliding(self.params)
+        load = self._drifted * self._breakaway(self._y) if self._sliding else self.spring_torque(self._y)[0]
+        return load * load / (2 * spring)
 
     def mass_matrix(self) -> Floats:
         """Of alpha and phi [kg m^2], shape (2, 2)."""
@@ -176,10 +189,19 @@ class EventLocatedArm:
         motor, arm = (e.m22 * f1 - e.m12 * f2) / determinant, (e.m11 * f2 - e.m12 * f1) / determinant
         return [alpha_rate, omega_phi, motor, arm], friction
 
+    def _breakaway(self, y: Floats) -> float:
+        return friction_level(self.params, self.params.gear_ratio * y[0]) * stribeck(self.params, 0.0)
+
     def dry_friction(self, y: Floats) -> float:
         """Torque against which the motor slides, or up to which it is held at standstill [N m]."""
         p, angle, speed = self.params, self.params.gear_ratio * y[0], self.params.gear_ratio * y[2]
         return self._drifted * friction_level(p, angle) * stribeck(p, speed)
+
+    def spring_torque(self, y: Floats) -> tuple[float, float]:
+        """Torque of the spring on which a stuck motor hangs, and of its damper [N m]."""
+        spring, damper = presliding(self.params)
+        gear = self.params.gear_ratio
+        return spring * (gear * y[0] - self._unloaded), damper * gear * y[2]
 
     def sample(self, command: float) -> None:
         """Let a control period pass after a new command [N m], through latency and current loop."""
@@ -202,15 +224,28 @@ class EventLocatedArm:
                 self.mode = mode
             time, changed = self._pass_in_mode(torque, direction, time, duration)
             broke_away = 0
-            if changed:
+            if changed and self._gives:
+                self._turn(direction)
+            elif changed:
                 self._y[2] = 0.0
                 broke_away = int(np.sign(self.holding_torque(torque(time)))) if direction == 0 else 0
+
+    def _turn(self, direction: int) -> None:
+        """Begin to slide, or to hang on the spring where it had slipped."""
+        if direction:
+            self._y[2], self._sliding = 0.0, 0
+            spring, _ = presliding(self.params)
+            self._unloaded = self.params.gear_ratio * self._y[0] - direction * self.dry_friction(self._y) / spring
+        else:
+            self._sliding = int(np.sign(self.spring_torque(self._y)[0]))
 
     def _holds(self, y: Floats) -> float:
         # Beyond friction by rounding: else a torque of exactly that would start and stop the motor for ever.
         return self.dry_friction(y) * (1 + 1e-12)
 
     def _direction(self, torque: float, broke_away: int) -> int:
+        if self._gives:
+            return self._sliding
         if self._y[2] != 0:
             return int(np.sign(self._y[2]))
         holding = self.holding_torque(torque)
@@ -222,12 +257,15 @@ class EventLocatedArm:
         """Integrate until the mode changes, or to the end; return the time reached, and whether the mode changed."""
 
         def rates(t: float, y: Floats) -> list[float]:
-            return self.rates(torque(t), direction * self.dry_friction(y) if direction else None, y)[0]
+            stuck = sum(self.spring_torque(y)) if self._gives else None
+            return self.rates(torque(t), direction * self.dry_friction(y) if direction else stuck, y)[0]
 
         def until_stop(_: float, y: Floats) -> float:
             return direction * y[2]
 
         def until_breaking_away(t: float, y: Floats) -> float:
+            if self._gives:  # the speed does not count: friction at rest
+                return self._drifted * self._breakaway(y) - abs(self.spring_torque(y)[0])
             return self._holds(y) - abs(self.rates(torque(t), None, y)[1])
 
         margin = until_stop if direction else until_breaking_away

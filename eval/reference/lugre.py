@@ -36,8 +36,8 @@ from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state
 from beltarm_env.physics import lumped
 from beltarm_env.physics.drive import Drive, angles_of, coupling
-from beltarm_env.physics.integrator import moved, weighted
 from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.step import moved, weighted
 from beltarm_env.physics.trigonometry import exponential
 from beltarm_env.timing import CONTROL_PERIOD, LATENCY_SAMPLES
 
@@ -71,7 +71,7 @@ def _slope(
     damping = bristle.damping / (1 + 0.25 * bristle.damping * abs(x.motor_speed) / g)
     net = torque - bristle.stiffness * z - damping * z_dot
     # The plant has no Coulomb friction of its own here, so the direction in which it slides does not matter.
-    motor, torsional = lumped.accelerations(x, angles_of(x, plant, drive), net, 1.0, plant, drive)
+    motor, torsional, _ = lumped.accelerations(x, angles_of(x, plant, drive), net, 1.0, plant, drive)
     return ArmState(x.motor_speed, motor, x.torsion_speed, torsional), z_dot
 
 

@@ -15,7 +15,7 @@ from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
-from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
+from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import DRIVE_RANGES
 
@@ -84,8 +84,7 @@ EFFECTS = {
     "friction_drift": Effect("drift of friction in the episode", "%", 100, "±", "drift of friction"),
     ALL: Effect("all of them", "% of the upper ends", 100),
 }
-"""By the name of the field, in the order of `DRIVE_EFFECTS`; and all together."""
-assert (*DRIVE_EFFECTS, ALL) == tuple(EFFECTS)
+"""By the name of the field of an effect that the training ranges have; and all together."""
 
 
 def heading(name: str, size: float = 1.0) -> str:
@@ -102,7 +101,7 @@ def with_effect(table: Floats, name: str, size: float) -> Floats:
     Arms are rows of `table`. Phases, orders, Stribeck speeds and the signs of effects that have one stay as drawn.
     """
     driven = table.copy()
-    for field in DRIVE_EFFECTS:
+    for field in EFFECTS.keys() - {ALL}:
         column = getattr(COLUMN, field)
         there = name in (field, ALL) and size > 0
         driven[:, column] = np.copysign(size * DRIVE_RANGES[field][1], table[:, column]) if there else 0.0

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from driven_arms import GEAR, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
+from driven_arms import GEAR, GIVES, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
@@ -174,7 +174,7 @@ class TestEnvironment:
         with pytest.raises(ValueError, match=r"mujoco.*steps of its own"):
             BeltArmEnv(model="mujoco").set_integration_steps(4)
         for name in set(DRIVE_EFFECTS) - {*EXPRESSIBLE}:
-            value = UPPER_ENDS[name]
+            value = (UPPER_ENDS | GIVES)[name]
             message = rf'mujoco.* {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
             with pytest.raises(ValueError, match=message):
                 BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})

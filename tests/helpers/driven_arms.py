@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
-from beltarm_env.task.ranges import DRIVE_RANGES, IDEAL_RANGES
+from beltarm_env.task.ranges import DRIVE_RANGES, IDEAL_RANGES, PRESLIDING
 from eval.reference.event_located import EventLocatedArm, tip
 
 Command = Callable[[int, EventLocatedArm], float]
@@ -20,6 +20,8 @@ LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_dampin
 
 UPPER_ENDS = {name: high for name, (_, high) in DRIVE_RANGES.items()}
 """Every effect of the drive at its upper end in training."""
+GIVES = {name: high for name, (_, high) in PRESLIDING.items()}
+"""A motor that gives before it slips."""
 
 
 def at_rest(joint: float, torsion: float = 0.0, torsion_speed: float = 0.0, gear: float = GEAR) -> np.ndarray:

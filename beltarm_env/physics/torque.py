@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import decay
-from beltarm_env.timing import CONTROL_PERIOD
 
 
 class Stages(NamedTuple):
@@ -31,7 +30,8 @@ class Stages(NamedTuple):
     third: float
     fourth: float
     end: float
-    half: float  # double integral of the torque to the middle of the step, over h^2
+    early: float  # integral of the torque to the middle of the step, over h
+    half: float  # its double integral, over h^2
 
 
 class Response(NamedTuple):
@@ -79,37 +79,46 @@ def response(h: float, time: float, rate: float) -> Response:
 
 
 @inlined
-def stages(moments: Response, half: float) -> Stages:
-    """Return the torques of a step's stages that have these moments."""
+def stages(moments: Response, early: float, half: float) -> Stages:
+    """Return the torques of a step's stages that have these moments, and integrals to the middle."""
     first = 24 * moments.m4
     second = 12 * moments.m3 - first
     third = 6 * moments.m2 - first - second
-    return Stages(first, second, third, 6 * moments.m1 - first - 2 * second - 2 * third, moments.end, half)
+    return Stages(first, second, third, 6 * moments.m1 - first - 2 * second - 2 * third, moments.end, early, half)
 
 
 @inlined
-def shares_of_two(arrival: float, time: float, rate: float) -> tuple[Stages, Stages]:
-    """Return the shares that the targets before and after a command's arrival [s] have in the torques of a sample.
+def shares_of_two(dt: float, arrival: float, time: float, rate: float) -> tuple[Stages, Stages]:
+    """Return the shares that the targets before and after a command's arrival have in the torques of a step.
 
-    What is left to 1 is the share of the motor's torque at the sample's beginning.
+    What is left to 1 is the share of the motor's torque at the step's beginning.
+
+    Args:
+        dt: Length of the step [s].
+        arrival: Time until the command arrives, from 0 to dt [s].
+        time: Time constant T_i of the current loop [s].
+        rate: 1 / T_i [1/s], or 0.
     """
-    left = CONTROL_PERIOD - arrival
-    whole, late, f = response(CONTROL_PERIOD, time, rate), response(left, time, rate), left * (1 / CONTROL_PERIOD)
+    left, middle = dt - arrival, 0.5 * dt
+    f = left / dt if dt > 0.0 else 0.0
+    whole, late = response(dt, time, rate), response(left, time, rate)
     r = Response(f * late.m1, f * f * late.m2, f * f * f * late.m3, f * f * f * f * late.m4, late.end)
     if left <= 0.0:
         r = Response(0.0, 0.0, 0.0, 0.0, 0.0)
     before = Response(whole.m1 - r.m1, whole.m2 - r.m2, whole.m3 - r.m3, whole.m4 - r.m4, whole.end - r.end)
-    middle = 0.5 * CONTROL_PERIOD
-    late_half = max(middle - arrival, 0.0)
-    g = late_half * (1 / CONTROL_PERIOD)
-    half = 0.25 * response(middle, time, rate).m2
-    half_after = g * g * response(late_half, time, rate).m2
-    return stages(before, half - half_after), stages(r, half_after)
+    late_half = middle - arrival if middle > arrival else 0.0
+    g = late_half / dt if dt > 0.0 else 0.0
+    half, half_after = response(middle, time, rate), response(late_half, time, rate)
+    early_after, twice_after = g * half_after.m1, g * g * half_after.m2
+    return (
+        stages(before, 0.5 * half.m1 - early_after, 0.25 * half.m2 - twice_after),
+        stages(r, early_after, twice_after),
+    )
 
 
 @inlined
 def torques_of_two(torque: float, before: float, after: float, by_before: Stages, by_after: Stages) -> Stages:
-    """Return the torques of a sample's stages from that of the motor now, both targets and their shares [N m]."""
+    """Return the torques of a step's stages from that of the motor now, both targets and their shares [N m]."""
     old, new = before - torque, after - torque
     return Stages(
         torque + by_before.first * old + by_after.first * new,
@@ -117,8 +126,15 @@ def torques_of_two(torque: float, before: float, after: float, by_before: Stages
         torque + by_before.third * old + by_after.third * new,
         torque + by_before.fourth * old + by_after.fourth * new,
         torque + by_before.end * old + by_after.end * new,
+        0.5 * torque + by_before.early * old + by_after.early * new,
         0.125 * torque + by_before.half * old + by_after.half * new,
     )
+
+
+@inlined
+def steady(torque: float) -> Stages:
+    """Return the torques of a step's stages under a torque that does not change [N m]."""
+    return Stages(torque, torque, torque, torque, torque, 0.5 * torque, 0.125 * torque)
 
 
 class Lag(NamedTuple):
@@ -128,21 +144,6 @@ class Lag(NamedTuple):
     excess: float  # [N m]
     time: float  # T_i [s]; 0 for a motor that follows at once
     rate: float  # 1 / T_i [1/s], or 0
-
-
-@inlined
-def torques_of_lag(lag: Lag, dt: float) -> Stages:
-    """Return the torques of the stages of a step of `dt` seconds [N m]."""
-    by = stages(response(dt, lag.time, lag.rate), 0.25 * response(0.5 * dt, lag.time, lag.rate).m2)
-    torque = lag.target + lag.excess
-    return Stages(
-        torque - by.first * lag.excess,
-        torque - by.second * lag.excess,
-        torque - by.third * lag.excess,
-        torque - by.fourth * lag.excess,
-        torque - by.end * lag.excess,
-        0.125 * torque - by.half * lag.excess,
-    )
 
 
 @inlined
