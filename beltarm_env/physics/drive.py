@@ -142,9 +142,9 @@ def nearer(sine: float, cosine: float, d: float) -> tuple[float, float]:
 
 @inlined
 def near(sine: float, cosine: float, d: float) -> tuple[float, float]:
-    """Return sine and cosine of an angle plus a small d [rad], by their series; error d^4 / 24."""
+    """Return sine and cosine of an angle plus a small d [rad], by their series; error d^6 / 720."""
     half = 0.5 * d * d
-    along, across = 1 - half, d - half * d * (1 / 3)
+    along, across = (1 - half) + half * half * (1 / 6), d * ((1 - half * (1 / 3)) + half * half * (1 / 30))
     return sine * along + cosine * across, cosine * along - sine * across
 
 

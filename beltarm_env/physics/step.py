@@ -211,7 +211,9 @@ def rk4_step(
     y = moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
     if drive is not None:
         w11, w12, w22 = inverse_inertia(at.cos_phi, plant, model)
-        vibrates_by = (1 - direction * direction) * dt * dt * plant.stiffness * (w22 - w12 * w12 / w11)
+        sliding = direction * direction
+        compliance = sliding * (w11 - 2 * w12 + w22) + (1 - sliding) * (w22 - w12 * w12 / w11)
+        vibrates_by = dt * dt * plant.stiffness * compliance
         fifth = 1 + vibrates_by * vibrates_by * (1 / 120)
         y = y._replace(
             torsion=x.torsion + fifth * (y.torsion - x.torsion),

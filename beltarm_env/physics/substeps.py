@@ -116,7 +116,8 @@ def check_integrable(table: Floats, model: Model) -> None:
         if given > 1:
             raise ValueError(
                 f"with presliding_deflection {row[COLUMN.presliding_deflection]:.3g} rad the variation of friction "
-                f"would give the motor {given:.3g} times the energy that sliding takes: {REMEDIES[4]}"
+                f"would give the motor {given:.3g} times the energy that sliding takes, which is not integrated: "
+                f"{REMEDIES[4]}"
             )
         if rate > 1:
             raise ValueError(

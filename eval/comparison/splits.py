@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 EDITION = 2
 """Of the comparison: the kinds of arms that it asks about. Results of two editions answer different questions."""
-VERSION = 2
+VERSION = 3
 """Changes whenever the physics or a scenario changes: results of different versions must not be compared."""
 EPISODES = 500
 """Scenarios of a split."""

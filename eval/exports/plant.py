@@ -96,11 +96,10 @@ def refusal(memory: Memory, joint_angle: float) -> int:
             return 1 + k
     if not (LOWEST <= joint_angle and joint_angle <= HIGHEST):
         return 1 + _JOINT_ANGLE
-    limits = integration_limits(memory.constants, LUMPED)
-    for k in range(len(REMEDIES)):
-        if limits[k] > 1.0:
-            return 2 + _JOINT_ANGLE + k
-    return 0
+    number = 0
+    for k, limit in enumerate(integration_limits(memory.constants, LUMPED)):
+        number = 2 + _JOINT_ANGLE + k if limit > 1.0 and number == 0 else number
+    return number
 
 
 @compiled

@@ -15,7 +15,7 @@ from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
-from beltarm_env.arm import COLUMN
+from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import DRIVE_RANGES
 
@@ -101,8 +101,8 @@ def with_effect(table: Floats, name: str, size: float) -> Floats:
     Arms are rows of `table`. Phases, orders, Stribeck speeds and the signs of effects that have one stay as drawn.
     """
     driven = table.copy()
-    for field in EFFECTS.keys() - {ALL}:
+    for field in DRIVE_EFFECTS:
         column = getattr(COLUMN, field)
-        there = name in (field, ALL) and size > 0
+        there = name in (field, ALL) and field in EFFECTS and size > 0
         driven[:, column] = np.copysign(size * DRIVE_RANGES[field][1], table[:, column]) if there else 0.0
     return driven

@@ -1,7 +1,8 @@
-"""Whether presliding changes the order of controllers.
+"""Whether presliding changes the order of controllers, and whether two models of it agree.
 
-In the plant, a stuck motor does not move at all, and breaks away at once. With LuGre friction it has bristles with the
-same steady friction, which give way by a deflection before the motor breaks away. Everything else is the same.
+A motor that sticks may not move at all, or give before it slips: by the plant's own element, a spring that slips at a
+deflection (`presliding_deflection`), or by LuGre friction, whose bristles slip little by little. Steady friction and
+breakaway torque are the same.
 """
 
 from __future__ import annotations
@@ -30,17 +31,22 @@ from eval.reference.lugre import STEPS, LuGreArms
 from eval.report.style import COLOURS, mark_one_two_five
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
-QUICK = {"controllers": ("paper", "student"), "deflections": (1.0,), "arms": 4, "jobs": 1}
+QUICK = {"controllers": ("paper", "student"), "deflections": (3.0,), "arms": 4, "jobs": 1}
 QUICK |= {"check_deflections": (3.0,), "checked": 1}
 CONTROLLERS = ("paper", "ei", "preview", "adaptive", "ppo", "student")
 """Shipped controllers; of a learned one the policy of its first training seed."""
 CHECKED = ("paper", "ei")
-"""Controllers of the check that the located friction is the limit of a stiff bristle: they do not amplify rounding."""
+"""Controllers of the check that a motor which gives little behaves like one that does not: they amplify no rounding."""
 JUDGED = ("cost", "residual_pp_mm")
+MOTOR = "motor_pp_mrad"
+"""Motion of the motor in the last 0.3 s of an episode, peak to peak [mrad]: what a limit cycle shows in."""
+_LAST = 200  # samples of it
 PERTURBATION = 1e-5
 """Change of the initial torsion, about half an encoder count at the joint, which shows the effect of chance [rad]."""
-LOCATED, PERTURBED = "located", "located, perturbed"
-"""Friction that the plant locates as events, without and with the perturbation."""
+CLEAN, PERTURBED = "clean stick", "clean stick, perturbed"
+"""A motor that does not move while it sticks, without and with the perturbation."""
+ELEMENT, LUGRE = "element", "LuGre"
+"""Models of a motor that gives: the plant's slip element, and bristles."""
 _SHOWN = ("better", "worse")  # verdicts
 
 
@@ -52,12 +58,12 @@ class Options(StudyOptions):
 
     controllers: tuple[str, ...] = ()
     """Controllers to run. Default: all of the study."""
-    deflections: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
+    deflections: tuple[float, ...] = (1.0, 3.0, 10.0, 20.0)
     """Breakaway deflections at the motor [mrad]; over the gear ratio at the joint."""
     arms: int = 48
     """Arms of the training ranges, 4 to 1000."""
     check_deflections: tuple[float, ...] = (3.0, 1.0, 0.3, 0.1, 0.03)
-    """Deflections of the check that a stiff bristle behaves like the plant's own friction [mrad]."""
+    """Deflections of the check that a motor which gives little behaves like one that does not [mrad]."""
     checked: int = 8
     """Arms of the check, 1 to 1000."""
     jobs: int | None = None
@@ -65,7 +71,7 @@ class Options(StudyOptions):
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Estimates for every controller and friction, pairs of controllers that change, and the check of the bristles.
+    """Estimates for every controller and friction, pairs of controllers that change, and the check of both models.
 
     Raises:
         ValueError: If a deflection is not positive.
@@ -74,37 +80,42 @@ def measure(options: Options) -> dict[str, Any]:
     if wrong:
         raise ValueError(f"--deflections and --check-deflections must be positive, got {wrong[0]:g}")
     names = chosen("controller", options.controllers, CONTROLLERS)
-    frictions: dict[str, float | None] = {LOCATED: None, PERTURBED: None}
-    frictions |= {friction_name(value): value for value in options.deflections}
-    checks = [(value, options.checked) for value in options.check_deflections]
+    frictions: dict[str, tuple[str, float]] = {CLEAN: (CLEAN, 0.0), PERTURBED: (CLEAN, 0.0)}
+    models = [(model, value) for model in (ELEMENT, LUGRE) for value in options.deflections]
+    frictions |= {friction_name(*each): each for each in models}
+    checks = [(model, value, options.checked) for model in (ELEMENT, LUGRE) for value in options.check_deflections]
     stiff = side_by_side("checks", check, checks, options.jobs)
     cases = {
-        (name, friction): (name, deflection, PERTURBATION if friction == PERTURBED else 0.0, options.arms)
+        (name, friction): (name, model, deflection, PERTURBATION if friction == PERTURBED else 0.0, options.arms)
         for name in names
-        for friction, deflection in frictions.items()
+        for friction, (model, deflection) in frictions.items()
     }
     runs = side_by_side("controllers and frictions", metrics_of, list(cases.values()), options.jobs)
     results = {pair: runs[case] for pair, case in cases.items()}
     rows = []
     for (name, friction), metrics in results.items():
-        located = results[name, LOCATED]
+        clean = results[name, CLEAN]
         row = {"controller": name, "friction": friction, "left": int(metrics["left"].sum())}
+        row[MOTOR] = interquartile_mean(metrics[MOTOR])
         for metric in JUDGED:
-            change = paired(metrics[metric][None], located[metric][None]).difference
-            unit = 0.01 * interquartile_mean(located[metric])
+            change = paired(metrics[metric][None], clean[metric][None]).difference
+            unit = 0.01 * interquartile_mean(clean[metric])
             row[metric] = asdict(estimate(metrics[metric][None])) | {"mean": metrics[metric].mean()}
             row[f"{metric}_change"] = {key: value / unit for key, value in asdict(change).items()}
         rows.append(row)
     pairs = []
     for metric in JUDGED:
         values = {key: metrics[metric][None] for key, metrics in results.items()}
-        before = verdicts(values, names, LOCATED)
-        for friction in list(frictions)[1:]:
-            after = verdicts(values, names, friction)
+        found = {friction: verdicts(values, names, friction) for friction in frictions}
+        compared = [(CLEAN, friction) for friction in list(frictions)[1:]]
+        compared += [(friction_name(LUGRE, value), friction_name(ELEMENT, value)) for value in options.deflections]
+        for other, friction in compared:
+            before, after = found[other], found[friction]
             changed = [pair for pair in after if after[pair] != before[pair]]
             turned = [pair for pair in changed if after[pair] in _SHOWN and before[pair] in _SHOWN]
             one_sided = [pair for pair in changed if pair not in turned]
-            pairs.append({"metric": metric, "friction": friction, "reversed": turned, "one_sided": one_sided})
+            both = {"metric": metric, "against": other, "friction": friction}
+            pairs.append(both | {"reversed": turned, "one_sided": one_sided})
     return {
         "arms": options.arms,
         "checked": options.checked,
@@ -115,13 +126,13 @@ def measure(options: Options) -> dict[str, Any]:
         "frictions": list(frictions),
         "rows": rows,
         "pairs": pairs,
-        "checks": [{"friction": friction_name(value), **result} for (value, _), result in stiff.items()],
+        "checks": [{"friction": friction_name(model, value), **each} for (model, value, _), each in stiff.items()],
     }
 
 
-def friction_name(deflection: float) -> str:
-    """Name of LuGre friction with a breakaway deflection at the motor [mrad]."""
-    return f"{deflection:g} mrad"
+def friction_name(model: str, deflection: float) -> str:
+    """Name of the friction of a motor that gives by a deflection before it slips [mrad]."""
+    return f"{model}, {deflection:g} mrad"
 
 
 def verdicts(
@@ -134,34 +145,41 @@ def verdicts(
     }
 
 
-def run(controller: Controller, arms: int, deflection: float | None, perturbation: float = 0.0) -> Recording:
+def run(
+    controller: Controller, arms: int, model: str = CLEAN, deflection: float = 0.0, perturbation: float = 0.0
+) -> Recording:
     """Run a controller on arms of the training ranges.
 
     Args:
         controller: What to run.
         arms: Number of arms.
-        deflection: Deflection at which the motor breaks away [mrad]; None for the friction of the kernels.
+        model: `CLEAN`, `ELEMENT` or `LUGRE`.
+        deflection: Deflection at which the motor breaks away, with its mean friction at the start [mrad].
         perturbation: Added to the torsion at the beginning [rad].
     """
     env = BeltArmVectorEnv(arms, randomization="train", autoreset_mode=AutoresetMode.DISABLED)
-    if deflection is not None:
+    if model == LUGRE:
         env._batch.engine = LuGreArms(env._batch, 1e-3 * deflection)
-    options = None
+    options: dict[str, Any] = {}
+    env.reset(seed=PRESLIDING.first)
+    if model == ELEMENT:  # whose field is the deflection at tau_c, not at breakaway
+        breakaway = 1 + env.params_table[:, COLUMN.static_friction_excess]
+        options["params"] = {"presliding_deflection": 1e-3 * deflection / breakaway}
     if perturbation:
-        env.reset(seed=PRESLIDING.first)
-        options = {"state": env.state + np.array([0.0, 0.0, perturbation, 0.0])}
-    return record(controller, env, seed=PRESLIDING.first, options=options)
+        options["state"] = env.state + np.array([0.0, 0.0, perturbation, 0.0])
+    return record(controller, env, seed=PRESLIDING.first, options=options or None)
 
 
-def metrics_of(name: str, deflection: float | None, perturbation: float, arms: int) -> dict[str, Floats]:
-    """Judged metrics of a controller, and whether an arm `left` the workspace, each of shape (arms,)."""
-    recording = run(shipped_controller(name), arms, deflection, perturbation)
-    metrics = recording.metrics()
-    return {metric: metrics[metric] for metric in JUDGED} | {"left": np.where(recording.finished, 0.0, 1.0)}
+def metrics_of(name: str, model: str, deflection: float, perturbation: float, arms: int) -> dict[str, Floats]:
+    """Judged metrics of a controller, MOTOR, and whether an arm `left` the workspace, each of shape (arms,)."""
+    recording = run(shipped_controller(name), arms, model, deflection, perturbation)
+    metrics, motor = recording.metrics(), np.ptp(recording.state[-_LAST:, :, 0], axis=0)
+    left = np.where(recording.finished, 0.0, 1.0)
+    return {metric: metrics[metric] for metric in JUDGED} | {MOTOR: 1e3 * motor, "left": left}
 
 
-def check(deflection: float, arms: int) -> dict[str, Any]:
-    """Compare LuGre friction with the located one.
+def check(model: str, deflection: float, arms: int) -> dict[str, Any]:
+    """Compare a motor that gives with one that does not.
 
     Returns:
         `tip`: Largest distance of the tips under the same torques, of the median arm [m].
@@ -169,10 +187,10 @@ def check(deflection: float, arms: int) -> dict[str, Any]:
     """
     costs, tip = {}, 0.0
     for name in CHECKED:
-        located, bristles = (run(shipped_controller(name), arms, value) for value in (None, deflection))
-        costs[name] = float(np.mean(np.abs(bristles.cost - located.cost)) / np.mean(located.cost))
-        replay = Replay((located.torque / located.params[:, COLUMN.torque_limit]).T.astype(np.float32))
-        apart = run(replay, arms, deflection).tip_error - run(replay, arms, None).tip_error
+        clean, gives = run(shipped_controller(name), arms), run(shipped_controller(name), arms, model, deflection)
+        costs[name] = float(np.mean(np.abs(gives.cost - clean.cost)) / np.mean(clean.cost))
+        replay = Replay((clean.torque / clean.params[:, COLUMN.torque_limit]).T.astype(np.float32))
+        apart = run(replay, arms, model, deflection).tip_error - run(replay, arms).tip_error
         tip = max(tip, float(np.median(np.linalg.norm(apart, axis=2).max(axis=0))))
     return {"tip": tip, "costs": costs}
 
@@ -184,7 +202,7 @@ def _rows(data: dict[str, Any]) -> dict[tuple[str, str], dict[str, Any]]:
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Rows by controller and friction, order of the controllers, and the facts of the answer."""
     names, frictions, rows = data["controllers"], data["frictions"], _rows(data)
-    bristles = frictions[2:]
+    giving = frictions[2:]
     steady = [name for name in names if not any(rows[name, friction]["left"] for friction in frictions)]
     others = [name for name in names if name not in steady]
 
@@ -199,15 +217,23 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     def ranking(metric: str, friction: str) -> list[str]:
         return sorted(names, key=lambda name: rows[name, friction][metric]["iqm"])
 
-    judged = [pair for pair in data["pairs"] if pair["friction"] in bristles]
+    judged = [pair for pair in data["pairs"] if pair["friction"] in giving and pair["against"] == CLEAN]
+    both = [pair for pair in data["pairs"] if pair["against"] != CLEAN]
+    per_pair = len(names) * (len(names) - 1) // 2
     return {
         "perturbed": PERTURBED,
         "decides": data["arms"] >= LEAST_SCENARIOS,
         "steady": steady,
-        "comparisons": len(judged) * len(names) * (len(names) - 1) // 2,
+        "comparisons": len(judged) * per_pair,
+        "agreement": {
+            "comparisons": len(both) * per_pair,
+            "reversed": sum(len(pair["reversed"]) for pair in both),
+            "one_sided": sum(len(pair["one_sided"]) for pair in both),
+        },
+        "motor": MOTOR,
         "reversals": sum(len(pair["reversed"]) for pair in judged),
         "where": list(dict.fromkeys(pair["friction"] for pair in judged if pair["reversed"])),
-        "largest": max((change for each in bristles for _, change in changes(steady, each)), key=abs, default=0.0),
+        "largest": max((change for each in giving for _, change in changes(steady, each)), key=abs, default=0.0),
         "pairs": [pair | {"largest": largest(pair["friction"], pair["metric"])} for pair in data["pairs"]],
         "titles": {metric: METRICS[metric].title for metric in JUDGED},
         "rows": rows,
@@ -221,20 +247,26 @@ def pictures(data: dict[str, Any]) -> Pictures:
 
 
 def _draw(data: dict[str, Any]) -> Figure:
-    """Draw the cost over the deflection, the located friction at its left end."""
-    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    shown = [friction for friction in data["frictions"] if friction != PERTURBED]
-    places, rows = range(len(shown)), _rows(data)
-    for name, colour in zip(data["controllers"], COLOURS, strict=False):
-        costs = [rows[name, friction]["cost"] for friction in shown]
-        low, high = ([cost[key] for cost in costs] for key in ("low", "high"))
-        axes.fill_between(places, low, high, color=colour, alpha=0.12, linewidth=0)
-        axes.plot(places, [cost["iqm"] for cost in costs], "o-", color=colour, ms=4, label=name)
-    axes.set_xticks(places, shown)
-    axes.set_yscale("log")
-    mark_one_two_five(axes.yaxis)
-    axes.set_xlabel("friction: located, or breakaway deflection of LuGre friction at the motor")
-    axes.set_ylabel("cost, interquartile mean")
-    axes.grid(alpha=0.3, which="both")
+    """Draw the cost over the deflection for both models, the motor that does not give at the left end."""
+    figure, panels = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained", sharey=True)
+    rows = _rows(data)
+    for axes, model, title in zip(
+        panels, (ELEMENT, LUGRE), ("the plant's slip element", "LuGre friction"), strict=True
+    ):
+        shown = [CLEAN, *(friction for friction in data["frictions"] if friction.startswith(model))]
+        places = range(len(shown))
+        for name, colour in zip(data["controllers"], COLOURS, strict=False):
+            costs = [rows[name, friction]["cost"] for friction in shown]
+            low, high = ([cost[key] for cost in costs] for key in ("low", "high"))
+            axes.fill_between(places, low, high, color=colour, alpha=0.12, linewidth=0)
+            label = name if axes is panels[0] else None
+            axes.plot(places, [cost["iqm"] for cost in costs], "o-", color=colour, ms=4, label=label)
+        axes.set_xticks(places, ["0", *(friction.split(", ")[1].removesuffix(" mrad") for friction in shown[1:])])
+        axes.set_title(title, fontsize=10)
+        axes.set_xlabel("deflection of the motor before it slips (mrad)")
+        axes.grid(alpha=0.3, which="both")
+    panels[0].set_yscale("log")
+    mark_one_two_five(panels[0].yaxis)
+    panels[0].set_ylabel("cost, interquartile mean")
     figure.legend(loc="outside right upper", frameon=False)
     return figure

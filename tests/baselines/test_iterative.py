@@ -125,7 +125,7 @@ def test_linearisation_predicts_what_the_drive_does():
     trial = Linearisation(env.params, 40).about(states[:-1], torques, task, env.params.row())
     assert np.hypot(*trial.errors[-1, :2]) == pytest.approx(info["tip_error"], rel=1e-9)
     assert np.hypot(*trial.errors[-1, 2:]) / VELOCITY_SCALE == pytest.approx(info["cost_velocity"], rel=1e-9)
-    push, dx = np.where(np.arange(40) >= 20, 1e-4, 0.0), np.zeros(8)
+    push, dx = np.where(np.arange(40) >= 20, 1e-4, 0.0), np.zeros(9)
     for k in range(40):
         dx = trial.transition[k] @ dx + trial.by_torque[k] * push[k]
     np.testing.assert_allclose(simulated(env.params, torques + push, states[0, 0])[-1] - states[-1], dx, rtol=0.02)

@@ -14,7 +14,7 @@ from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BANDWIDTH, NOISE, RANGE, bias_of, noise, noise_seed
-from beltarm_env.task.draws import DRAWS
+from beltarm_env.task.draws import DRAWS, FIRST_OF_SENSORS
 
 Floats = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ class TestAccelerometerInTheEnvironment:
     @pytest.mark.parametrize("delay", [0, 0.4, 2])
     def test_shows_the_low_passed_acceleration_late(self, delay: float):
         record, whole = Record(MOVING, sensors="accelerometer", delay=delay), math.floor(delay)
-        draw, *biases = seeding.np_random(1)[0].random(DRAWS)[-3:]
+        draw, *biases = seeding.np_random(1)[0].random(DRAWS)[FIRST_OF_SENSORS:][:3]
         read = np.maximum(record.times - (delay - whole) * CONTROL_PERIOD, 0.0)
         states = np.stack([record.course(column, read, order) for column in (0, 2) for order in (0, 1)])
         velocity, decay = np.stack(tip_velocity(states), axis=1), math.exp(-CONTROL_PERIOD / TAU)

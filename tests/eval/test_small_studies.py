@@ -34,7 +34,7 @@ from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
 from eval.studies.iterative import repeated
 from eval.studies.observers import Score, score, scores_of, watchers
-from eval.studies.presliding import LOCATED, check, verdicts
+from eval.studies.presliding import CLEAN, ELEMENT, LUGRE, check, verdicts
 from eval.studies.sensors import TIERS, Outcome, outcome
 
 SEED = 4_200_000
@@ -52,7 +52,7 @@ def test_arms_have_the_effects_asked_for_and_no_others(name: str):
         arms = with_effect(drawn, name, size)
         for field in DRIVE_EFFECTS:
             column = getattr(COLUMN, field)
-            end = size * DRIVE_RANGES[field][1] if name in (field, ALL) else 0.0
+            end = size * DRIVE_RANGES[field][1] if name in (field, ALL) and field in EFFECTS else 0.0
             np.testing.assert_allclose(np.abs(arms[:, column]), end)
             assert (arms[:, column] * drawn[:, column] >= 0).all(), "signs are those drawn"
         others = [k for k in range(arms.shape[1]) if k not in [getattr(COLUMN, field) for field in DRIVE_EFFECTS]]
@@ -154,17 +154,18 @@ def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]
 # Presliding
 
 
-def test_the_located_friction_is_the_limit_of_a_stiff_bristle_in_closed_loop():
-    soft, stiff = check(3.0, 1), check(0.1, 1)
+@pytest.mark.parametrize("model", [ELEMENT, LUGRE])
+def test_a_clean_stick_is_the_limit_of_a_motor_that_gives_little_in_closed_loop(model: str):
+    soft, stiff = check(model, 3.0, 1), check(model, 0.1, 1)
     assert stiff["tip"] < 0.5 * soft["tip"]
     assert all(stiff["costs"][name] < 0.6 * soft["costs"][name] for name in soft["costs"])
 
 
 def test_the_answer_follows_an_order_that_turns():
     rng = np.random.default_rng(0)
-    values = {("a", LOCATED): rng.uniform(1, 2, (1, 30)), ("b", LOCATED): rng.uniform(3, 4, (1, 30))}
-    values |= {("a", "1 mrad"): values["b", LOCATED], ("b", "1 mrad"): values["a", LOCATED]}
-    assert verdicts(values, ("a", "b"), LOCATED) == {("a", "b"): "better"}
+    values = {("a", CLEAN): rng.uniform(1, 2, (1, 30)), ("b", CLEAN): rng.uniform(3, 4, (1, 30))}
+    values |= {("a", "1 mrad"): values["b", CLEAN], ("b", "1 mrad"): values["a", CLEAN]}
+    assert verdicts(values, ("a", "b"), CLEAN) == {("a", "b"): "better"}
     assert verdicts(values, ("a", "b"), "1 mrad") == {("a", "b"): "worse"}
     data, pages = _frame.read_data(_frame.RESULTS / "presliding"), set()
     for arms, turned in ((48, [["paper", "student"]]), (48, []), (4, [])):

@@ -25,6 +25,7 @@ from baselines.tools.command import this_python
 from baselines.tools.options import parse
 from baselines.tools.resuming import note_options
 from eval import scenarios
+from eval.comparison.splits import EDITION, VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "--arms 8 --rollout-steps 8 --batch-size 32 --validation-every 128 --validation-arms 4".split()
@@ -150,7 +151,7 @@ def test_bad_training_options(trained: Path, tmp_path: Path, capsys: pytest.Capt
 
 def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert stopped(scenarios.main, (), tmp_path) == (0, "")
-    assert capsys.readouterr().out.startswith("development set, edition 2, version 2: sha256 ")
+    assert capsys.readouterr().out.startswith(f"development set, edition {EDITION}, version {VERSION}: sha256 ")
 
 
 def readme_examples() -> list[str]:

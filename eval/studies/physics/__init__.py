@@ -1,4 +1,4 @@
-"""Order of convergence of the integrator, and the full arm in two engines.
+"""Order of convergence of the integrator, its errors on many arms, and the full arm in two engines.
 
 Torques are integrated with 1, 2, 4 and 8 steps per control period, and compared with a solution by SciPy's DOP853 that
 locates all events. Then arms are moved by the paper's controller, and back and forth so that the motor sticks and
@@ -24,11 +24,13 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import CROSSCHECK
+from eval.comparison.rollouts import side_by_side
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS, below
 from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies.physics.errors import DRIVERS, FINE, SENSITIVE, SETS, cost_changes, errors_of
 
-QUICK = {"arms": 1, "samples": 40}
+QUICK = {"arms": 1, "samples": 40, "drawn": 2}
 STEPS = (1, 2, 4, 8)
 """Steps per control period, of the kernel and of MuJoCo."""
 
@@ -64,7 +66,9 @@ differ from the first in friction alone, beginning with MuJoCo's own."""
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS))
+    bounds = Bounds(
+        arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS), drawn=(1, 10_000), jobs=(1, 256)
+    )
 
     arms: int = 8
     """Arms of each kind of motion in MuJoCo, 1 to 1000."""
@@ -72,6 +76,10 @@ class Options(StudyOptions):
     """Seed of the first arm. Arm i has seed + i."""
     samples: int = EPISODE_STEPS
     """Length of the motions in control periods, 1 to 1200."""
+    drawn: int = 1000
+    """Arms of each set whose samples are integrated in more steps, 1 to 10000."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:
@@ -79,8 +87,16 @@ def measure(options: Options) -> dict[str, Any]:
     from beltarm_env.mujoco.model import mujoco  # the other studies can do without it
 
     cases = [(model, regime) for model in MODELS for regime in ARMS]
+    kinds = [(name, model, driver) for name in SETS for model in MODELS for driver in DRIVERS]
+    tried = [(*kind, options.drawn, options.samples) for kind in kinds]
+    errors = side_by_side("errors of the step", errors_of, tried, options.jobs)
     return {
         "mujoco": mujoco.__version__,
+        "fine": FINE,
+        "sensitive": SENSITIVE,
+        "sets": SETS,
+        "errors": [errors[each] for each in tried],
+        "costs": cost_changes(options.drawn),
         "steps": STEPS,
         "drive": DRIVE,
         "convergence": [
@@ -231,7 +247,7 @@ def compare_engines(arms: int, seed: int, samples: int) -> list[dict[str, Any]]:
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Kinds of motion, and how the template writes orders and distances."""
-    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres}
+    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres, "nanometres": _nanometres}
 
 
 def _order(errors: list[float]) -> str:
@@ -242,6 +258,10 @@ def _order(errors: list[float]) -> str:
 def _millimetres(distance: float) -> str:
     value = 1e3 * distance
     return f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}"
+
+
+def _nanometres(distance: float) -> str:
+    return f"{1e9 * distance:.2g}"
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
