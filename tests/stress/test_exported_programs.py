@@ -62,7 +62,8 @@ def compare(
     seen, _ = env.reset(seed=seed, options=options)
     per_turn = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
     quantum, limit = 2 * np.pi / per_turn, loop.params.torque_limit
-    slew = loop.design.guard.slew if hasattr(loop.design, "guard") else np.inf
+    guard = getattr(loop.design, "guard", None)
+    slew = np.inf if guard is None else guard.slew
     encoders, devices = FaultyEncoders(counts_of(seen, quantum), rng), [empty_device() for _ in range(ARMS)]
     program = InTheLoop(folder, loop.name, split.moves[:ARMS], limit, toolchain, per_turn, (*SANITISED, "-O1"))
     state, last = None, np.zeros(ARMS)
@@ -75,7 +76,9 @@ def compare(
                 observe(device, int(counts[arm]))
             observations = np.concatenate([device.observation for device in devices])
             action, state = controller.predict(observations, state, begins)
-            torques = np.array([commanded(device, row[0], limit) for device, row in zip(devices, action, strict=True)])
+            torques = np.array(
+                [commanded(device, float(row[0]), limit) for device, row in zip(devices, action, strict=True)]
+            )
             compiled = program.torques(counts, begins)
             wrong = (compiled != torques) | ~(np.abs(compiled) <= limit)
             wrong |= ~(np.abs(compiled - last) <= slew + SLEW_ROUNDING * limit)

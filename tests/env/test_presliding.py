@@ -1,0 +1,110 @@
+"""A motor that gives before it slips: elastic, with hysteresis, and never a source of energy."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+
+from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env.arm import params_columns, params_table
+from beltarm_env.physics.drive import SMALLEST_DEFLECTION
+from beltarm_env.physics.friction import SLIPS
+from beltarm_env.simulation import ArmSimulation
+from eval.reference.drive import friction_level, presliding, stribeck
+from eval.reference.event_located import EventLocatedArm
+
+GIVES = replace(design_model(), static_friction_excess=0.0, presliding_deflection=0.003, friction_drift=0.0)
+ANGLE = 40.0
+DEFLECTION = 8
+
+
+def moved(params: ArmParams, torques: NDArray[np.float64], model: str = "lumped") -> NDArray[np.float64]:
+    """States of an arm at rest after each command [N m], shape (T, 9)."""
+    simulation = ArmSimulation(params, model=model)
+    x, states = simulation.at_rest(np.array([ANGLE])), []
+    for torque in torques:
+        x = simulation.advance(x, np.array([torque]))
+        states.append(x[0])
+    return np.array(states)
+
+
+@pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+def test_a_pull_below_breakaway_is_given_way_to_and_springs_back(model: str):
+    pull = 0.6 * GIVES.coulomb_friction
+    states = moved(GIVES, np.repeat([pull, 0.0], 600), model)
+    assert states[599, 0] - ANGLE == pytest.approx(0.6 * GIVES.presliding_deflection, rel=0.05)
+    assert states[-1, 0] == pytest.approx(ANGLE, abs=2e-5)
+    assert (np.abs(states[:, DEFLECTION]) < SLIPS).all(), "it never slips"
+
+
+def test_what_has_slipped_springs_back_by_the_deflection_alone():
+    states = moved(GIVES, np.repeat([1.2 * GIVES.coulomb_friction, 0.0], [150, 1000]))
+    assert (states[:, DEFLECTION] == SLIPS).any()
+    farthest, end = states[:, 0].max(), states[-1, 0]
+    assert farthest - ANGLE > 10 * GIVES.presliding_deflection
+    assert 0.2 * GIVES.presliding_deflection < farthest - end < 3 * GIVES.presliding_deflection
+
+
+def test_a_deflection_too_small_to_count_is_none():
+    torques = 0.1 * np.sin(0.05 * np.arange(200))
+    least = replace(GIVES, presliding_deflection=0.9 * SMALLEST_DEFLECTION)
+    clean = replace(GIVES, presliding_deflection=0.0)
+    np.testing.assert_array_equal(moved(least, torques), moved(clean, torques))
+
+
+def test_arms_move_alone_as_among_others():
+    deflections = np.array([0.0, 3e-4, 1e-3, 5e-3, 2e-2] * 4)
+    table = np.repeat(params_table([GIVES, ArmParams()]), 10, axis=0)
+    columns: dict[str, Any] = params_columns(table) | {"presliding_deflection": deflections}
+    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (250, 20)).astype(np.float32)
+
+    def states(arms: slice) -> NDArray[np.float64]:
+        chosen = {name: values[arms] for name, values in columns.items()}
+        env = BeltArmVectorEnv(len(chosen["gear_ratio"]))
+        env.reset(seed=0, options={"params": chosen, "move": {"start": 0.7, "goal": 1.2}})
+        path = []
+        for torque in torques[:, arms]:
+            env.step(torque[:, None])
+            path.append(env.state)
+        return np.array(path)
+
+    together = states(slice(0, 20))
+    for k in range(20):
+        np.testing.assert_array_equal(states(slice(k, k + 1))[:, 0], together[:, k])
+
+
+@examples(25)
+@given(
+    deflection=st.floats(2e-4, 0.02),
+    excess=st.floats(0, 0.8),
+    variation=st.floats(0, 0.4),
+    phase=st.floats(0, 6.28),
+    push=st.floats(0.01, 0.2),
+    torsion=st.floats(-0.1, 0.1),
+    model=st.sampled_from(["lumped", "lagrangian"]),
+)
+def test_energy_never_grows_without_torque(
+    deflection: float, excess: float, variation: float, phase: float, push: float, torsion: float, model: str
+):
+    p = ArmParams(
+        **{"presliding_deflection": deflection, "static_friction_excess": excess, "friction_variation": variation},
+        **{"friction_variation_phase": phase, "torque_ripple": 0.004, "belt_stiffening": 0.2},
+    )
+    simulation, clean = ArmSimulation(p, model=model), replace(p, presliding_deflection=0.0)
+    x = simulation.at_rest(np.array([ANGLE]))
+    x[0, 2] += torsion
+    for _ in range(10):
+        x = simulation.advance(x, np.array([push]))
+    energies = []
+    for _ in range(300):
+        x = simulation.advance(x, np.zeros(1))
+        spring, z = presliding(p)[0], float(x[0, DEFLECTION])
+        most = friction_level(p, x[0, 0]) * stribeck(p, 0.0)
+        load = most if abs(z) >= SLIPS else spring * z
+        energies.append(EventLocatedArm(clean, x[0, :4], model).energy + load * load / (2 * spring))
+    assert np.diff(energies).max() < 1e-8
