@@ -144,7 +144,7 @@ def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, m
         needed = needed_rate(x, angles, torque, high - low, direction, plant, drive)
         _, steps = step_length(CONTROL_PERIOD, needed, block[at.SUBSTEPS * LANES + j])
         step = rk4_step(x, angles, torques, direction, CONTROL_PERIOD, plant, drive, model)
-        stays = stays_in_mode(x, angles, step, direction, CONTROL_PERIOD, low, high, plant, drive, model)
+        stays = stays_in_mode(x, angles, step, direction, CONTROL_PERIOD, low, high, plant, drive)
         whole = stays & (steps == 1.0)
         work[BEFORE * LANES + j] = before
         work[AFTER * LANES + j] = after

@@ -181,7 +181,7 @@ def _step(work: Floats, count: int, model: Model, driven: Driven) -> None:
             torques = torques_of_two(torque, target, after, by_before, by_after)
         step = rk4_step(x, angles, torques, direction, dt, plant, drive, model)
         y = step.state
-        stays = stays_in_mode(x, angles, step, direction, dt, low, high, plant, drive, model)
+        stays = stays_in_mode(x, angles, step, direction, dt, low, high, plant, drive)
         arrives = waits & (until < dt)
         lag = Lag(target, torque - target, time, rate)
         margin, side = margin_of(x, angles, step, torques, lag, direction, dt, plant, drive, model)

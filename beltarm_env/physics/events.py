@@ -51,7 +51,6 @@ def stays_in_mode(
     high: float,
     plant: Plant,
     drive: Drive | None,
-    model: Model,
 ) -> bool:
     """Tell that the motor stops or breaks away nowhere within a step; False where that is not sure.
 
@@ -70,7 +69,6 @@ def stays_in_mode(
         high: Highest.
         plant: Coefficients of the arm.
         drive: Coefficients of its drive; None for an ideal one.
-        model: Whose equations of motion.
     """
     y, slack = step.state, _SLACK * (step.highest - step.lowest + step.by_torque * (high - low))
     lowest = step.lowest + step.by_torque * low - slack
