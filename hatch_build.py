@@ -70,7 +70,14 @@ def use_everything() -> None:
     import gymnasium as gym
     import numpy as np
 
-    from beltarm_env import ArmParams, BeltArmVectorEnv, sampled_state_space, state_derivative, state_space
+    from beltarm_env import (
+        EPISODE_STEPS,
+        ArmParams,
+        BeltArmVectorEnv,
+        sampled_state_space,
+        state_derivative,
+        state_space,
+    )
     from beltarm_env.rollout import rollout
     from beltarm_env.simulation import ArmSimulation
 
@@ -78,14 +85,19 @@ def use_everything() -> None:
     rest = {"state": np.zeros(4)}
     for model, randomization, sensors in product(*CHOICES):
         settings: dict[str, Any] = {"model": model, "randomization": randomization, "sensors": sensors}
-        env = gym.make("beltarm_env:BeltArm-v0", **settings, disable_env_checker=True)
+        env = gym.make("beltarm_env:BeltArm-v0", **settings, moves=2, disable_env_checker=True)
         for options in (None, moves, rest):
             env.reset(seed=0, options=options)
             env.step(np.zeros(1, np.float32))
+        arms: Any = BeltArmVectorEnv(3, **settings, moves=2)
+        arms.reset(seed=0)
+        for _ in range(EPISODE_STEPS):  # into the second move
+            env.step(np.zeros(1, np.float32))
+            arms.step(np.zeros((3, 1), np.float32))
         arm: Any = env.unwrapped
         arm.reference(arm.time)
         for mode in ("NextStep", "SameStep"):
-            arms: Any = BeltArmVectorEnv(3, **settings, autoreset_mode=mode, max_episode_steps=1)
+            arms = BeltArmVectorEnv(3, **settings, autoreset_mode=mode, max_episode_steps=1)
             for options in (None, moves, rest):
                 arms.reset(seed=0, options=options)
                 for dtype in (np.float32, np.float32, np.float64):

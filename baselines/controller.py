@@ -28,6 +28,8 @@ class ClassicalController(ABC, Generic[Memory]):
     """
 
     sensors: ClassVar[Literal["encoder", "full", "accelerometer"]] = "encoder"
+    remembers: ClassVar[bool] = False
+    """Whether what it knows lasts from move to move of an episode."""
 
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()
@@ -38,7 +40,8 @@ class ClassicalController(ABC, Generic[Memory]):
 
         Args:
             reading: Measurements and reference of n arms.
-            begins: Which arms begin an episode, shape (n,).
+            begins: Which arms begin a move, shape (n,), and nothing is known of them before; of a controller that
+                remembers, an episode.
             memory: What the last call returned; None at the beginning, where all arms begin. Never changed.
 
         Returns:
@@ -54,7 +57,7 @@ class ClassicalController(ABC, Generic[Memory]):
     ) -> tuple[Singles, Memory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         reading = read(observation, self.params, self.sensors)
-        torque, memory = self.law(reading, beginning(state, episode_start, len(observation)), state)
+        torque, memory = self.law(reading, beginning(state, episode_start, observation, self.remembers), state)
         action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
         return action.astype(np.float32)[:, None], memory
 
@@ -64,7 +67,7 @@ class LawKernel(NamedTuple):
 
     law: Callable[..., float]
     """`law(design, now, begins, memory)`: motor torque [N m] of one sample, before it is cut at its limit, from what
-    is constant, a `Sample`, and whether an episode begins, when nothing in the memory counts. Writes the memory."""
+    is constant, a `Sample`, and whether a move begins, when nothing in the memory counts. Writes the memory."""
     design: Any  # named tuple of numbers and arrays, which the kernel never writes
     memory: Any  # an array, or a named tuple of arrays, of the shapes that the kernel needs for one arm
 

@@ -25,6 +25,7 @@ class Reading(NamedTuple):
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
     step: Integers  # control periods since the move's start
     last_command: Floats  # torque commanded over the last period [N m]
+    holds_part: Floats  # 1 where the gripper holds a part, else 0
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
     acceleration: Floats | None  # of the tip along and across the hand [m/s^2], (n, 2); of "accelerometer" alone
 
@@ -48,6 +49,7 @@ class Sample(NamedTuple):
     ramp_time: float
     step: int
     last_command: float
+    holds_part: float
 
 
 @inlined
@@ -56,7 +58,7 @@ def sample_of(reading: Reading, arm: int) -> Sample:
     parts: Any = reading
     measured = (part[arm] for part in parts[:_MOVE_FIELD])
     move = (reading.move[arm, k] for k in range(4))
-    return Sample._make((*measured, *move, reading.step[arm], reading.last_command[arm]))
+    return Sample._make((*measured, *move, reading.step[arm], reading.last_command[arm], reading.holds_part[arm]))
 
 
 _SCALES = observation.scales()
@@ -64,7 +66,8 @@ _ENCODER_SIZE = len(_SCALES)  # other tiers have their own entries after it
 _AT = {name: observation.index(name) for name in (entry.name for entry in observation.ENTRIES["encoder"])}
 _MEASURED = _AT["motor_angle_error"]  # and after it errors of speed, the speed and the angle
 _REFERENCE = _AT["reference_angle"]  # and after it its speed and acceleration
-_MOVE = _AT["start"]  # and after it goal, duration, ramp time, elapsed time and last command
+_MOVE = _AT["start"]  # and after it goal, duration, ramp time, elapsed time, last command and holds_part
+_FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_MOVE + 4]  # elapsed time that belongs to the first sample, scaled
 
 
 @inlined
@@ -90,6 +93,7 @@ def sample_from(seen: Singles, torque_limit: float) -> Sample:
         seen[_MOVE + 3] * _SCALES[_MOVE + 3],
         int((elapsed + ROUNDER) - ROUNDER),
         seen[_MOVE + 5] * _SCALES[_MOVE + 5] * torque_limit,
+        seen[_MOVE + 6] * _SCALES[_MOVE + 6],
     )
 
 
@@ -117,6 +121,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         move=np.ascontiguousarray(seen[start : start + 4].T),
         step=seen[start + 4].astype(np.intp),
         last_command=seen[start + 5],
+        holds_part=seen[start + 6],
         torsion=extra if sensors == "full" else None,
         acceleration=extra if sensors == "accelerometer" else None,
     )
@@ -135,8 +140,20 @@ def chosen(which: Flags, these: Any, others: Any) -> Any:
     return np.where(which.reshape(-1, *[1] * (these.ndim - 1)), these, others)
 
 
-def beginning(memory: object, episode_start: Flags | None, count: int) -> Flags:
-    """Which of `count` arms begin an episode with this call, shape (count,): all of them if there is no memory yet."""
+def beginning(memory: object, episode_start: Flags | None, observations: Singles, remembers: bool = False) -> Flags:
+    """Which arms begin a move with this call, shape (n,): all of them if there is no memory yet.
+
+    A move begins where an episode does, and where none of its time has passed.
+
+    Args:
+        memory: Of a controller, None before its first call.
+        episode_start: Which arms begin an episode, shape (n,); None for none of them.
+        observations: Shape (n, size).
+        remembers: Whether the controller's memory lasts from move to move, so that only an episode begins anew.
+    """
     if memory is None:
-        return np.ones(count, np.bool_)
-    return np.zeros(count, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
+        return np.ones(len(observations), np.bool_)
+    if remembers:
+        return np.zeros(len(observations), np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
+    begins = observations[:, _MOVE + 4] < _FIRST
+    return begins if episode_start is None else begins | np.asarray(episode_start, np.bool_)

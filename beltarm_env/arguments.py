@@ -14,11 +14,12 @@ from gymnasium.envs.registration import EnvSpec
 from beltarm_env.task.ranges import resolve_ranges
 
 
-def fixed(name: str) -> Any:
+def fixed(name: str, argument: str = "") -> Any:
     """Property that reads `_name` and refuses to be set: what an environment has derived from it would not follow."""
 
     def refuse(_: Any, value: object) -> None:
-        raise AttributeError(f"{name} is fixed when an environment is made: make a new one with {name}={value!r}")
+        remedy = f"{argument or name}={value!r}"
+        raise AttributeError(f"{name} is fixed when an environment is made: make a new one with {remedy}")
 
     return property(attrgetter(f"_{name}"), refuse)
 
@@ -32,18 +33,20 @@ class Arguments:
     randomization: Any = fixed("randomization").getter(lambda env: copy.copy(env._randomization))
     encoder_counts: Any = fixed("encoder_counts")
     delay: Any = fixed("delay")
+    num_moves: Any = fixed("num_moves", "moves")
     render_mode: Any = fixed("render_mode")
 
     _spec: EnvSpec | None = None
-    _max_episode_steps: Any = None  # of a batch, which truncates by itself; one arm has Gymnasium's wrapper
+    _max_episode_steps: int
 
-    def _hold(self, *, randomization: Any, encoder_counts: Any, delay: Any, render_mode: Any, **words: Any) -> None:
+    def _hold(self, *, randomization: Any, encoder_counts: Any, moves: Any, render_mode: Any, **words: Any) -> None:
         """Keep arguments that were checked, as plain Python objects."""
         self._sensors, self._profile, self._model = (str(words[name]) for name in ("sensors", "profile", "model"))
         ranges = isinstance(randomization, Mapping)
         self._randomization = resolve_ranges(randomization) if ranges else str(randomization)
         self._encoder_counts = int(encoder_counts)
-        self._delay = np.asarray(delay, dtype=np.float64).tolist()
+        self._delay = np.asarray(words["delay"], dtype=np.float64).tolist()
+        self._num_moves = int(moves)
         self._render_mode = None if render_mode is None else str(render_mode)
 
     @property
@@ -56,10 +59,11 @@ class Arguments:
         if given is not None:
             given = copy.copy(given)
             given.kwargs = {name: self._held(name, value) for name, value in given.kwargs.items()}
-            given.max_episode_steps = self._max_episode_steps or given.max_episode_steps
+            given.max_episode_steps = self._max_episode_steps
         self._spec = given
 
     def _held(self, name: str, value: object) -> object:
         """Value of an argument as the environment has it, which may have been given as NumPy's; others as given."""
+        name = "num_moves" if name == "moves" else name
         held = getattr(self, name) if isinstance(getattr(type(self), name, None), property) else value
         return held.value if isinstance(held, Enum) else held

@@ -16,6 +16,7 @@ from beltarm_env.engine.blocks import MAX_THREADS
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import IDEAL, REAL
+from beltarm_env.kernels.moves import move_totals, next_moves
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
 from beltarm_env.physics.models import MODELS
@@ -23,10 +24,11 @@ from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_r
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.options import checked_column, checked_names, checked_states
-from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
+from beltarm_env.task.ranges import Randomization, draw_table, range_bounds
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
+from beltarm_env.task.shift import MOST_MOVES, fastest_of_moves, ranges_of_moves
 from beltarm_env.task.streams import Streams, wrapping
-from beltarm_env.timing import CONTROL_PERIOD
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 if TYPE_CHECKING:
     from beltarm_env.mujoco.renderer import MuJoCoRenderer
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
 
 WINDOW_FPS = 50
 """Frames per second of arm time that a window shows [1/s]."""
-_AT_ONCE = 4096  # arms whose draws take little memory
+AT_ONCE = 4096
+"""Arms whose draws take little memory."""
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 """Tip error [m] and the terms of the cost, of one step."""
 TOTALS = (
@@ -48,6 +51,8 @@ TOTALS = (
     "tip_error_max",
 )
 """Episode summary: costs with the charge for steps not taken, tip errors [m]."""
+MOVE_TOTALS = ("move_cost", "move_tip_error_rms", "move_tip_error_max", "move_vibration", "move_still_time")
+"""Summary of a move that is over: cost, tip errors, vibration after its end [m], time until the arm is still [s]."""
 
 
 class Engine(Protocol):
@@ -57,8 +62,8 @@ class Engine(Protocol):
         """Refuse arms with parameters (n, fields) that it cannot move, by a ValueError."""
         ...
 
-    def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
-        """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
+    def begin(self, arms: Integers, table: Floats, states: Floats | None) -> None:
+        """Begin new episodes for arms with parameters (n, fields) from states (n, 4); None for further moves."""
         ...
 
     def advance(self, actions: Floats) -> Floats:
@@ -130,6 +135,7 @@ class ArmBatch:
         randomization: Randomization,
         encoder_counts: int,
         delay: ArrayLike,
+        moves: int,
         num_threads: int = 1,
         lanes: int = at.LANES,
     ) -> None:
@@ -142,11 +148,13 @@ class ArmBatch:
         _choice("model", model, tuple(MODELS))
         self.model_name = model
         self.model = MODELS[model]
-        self._bounds = range_bounds(resolve_ranges(randomization))
-        check_ranges_integrable(self._bounds, self.model)
+        self.num_moves = whole("moves", moves, 1, MOST_MOVES)
+        self._bounds = range_bounds(ranges_of_moves(randomization, self.num_moves))
+        check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
         self._num_built = 0
+        self._substeps = 0  # integration steps per sample that were asked for; 0 for those that the arms need
         self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms, lanes)
         self.engine = _engine(model, num_arms)
@@ -182,7 +190,7 @@ class ArmBatch:
                 checked_constant(name, float(given))
             table[:, FIELDS.index(name)] = column
         if given_params:
-            check_integrable(table, self.model)
+            check_integrable(fastest_of_moves(table, self.num_moves), self.model)
             if self.engine is not None:
                 self.engine.check(table)
 
@@ -200,7 +208,8 @@ class ArmBatch:
             states = checked_states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
         sensing = self.resolution, self.delays, uniforms
-        of_model = self._built, self.model
+        of_model = self._built, self.num_moves, self.model
+        self._substeps = 0
         begin = at.for_lanes(begin_episodes, self.lanes)
         self._num_built += begin(self.blocks, arms, table, moves, states, *sensing, *of_model)
         if self.engine is not None:
@@ -214,14 +223,30 @@ class ArmBatch:
             streams: Random streams of all arms, of which theirs move on.
         """
         to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
-        of_model = self._built, self.profile, self.model
+        of_model = self._built, self.num_moves, self.profile, self.model
+        self._substeps = 0
         begin = at.for_lanes(restart_episodes, self.lanes)
         with wrapping():
-            for low in range(0, len(arms), _AT_ONCE):
-                some = arms[low : low + _AT_ONCE]
+            for low in range(0, len(arms), AT_ONCE):
+                some = arms[low : low + AT_ONCE]
                 self._num_built += begin(self.blocks, some, *to_draw, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, self.table[arms], self.states[arms])
+
+    def next_moves(self, arms: Integers, uniforms: Floats) -> None:
+        """Begin the next move of some arms, from the states that they have.
+
+        Args:
+            arms: Integers of the arms.
+            uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
+        """
+        of_model = self._built, self.profile, self.model
+        begin = at.for_lanes(next_moves, self.lanes)
+        self._num_built += begin(self.blocks, arms, uniforms, self._bounds, self.table, *of_model)
+        if self._substeps:
+            self.set_substeps(self._substeps)
+        if self.engine is not None:
+            self.engine.begin(arms, self.table[arms], None)
 
     def advance_in_engine(self, actions: Floats) -> None:
         """Move all arms by one control period in `engine`, where it is not the kernels that do.
@@ -233,7 +258,7 @@ class ArmBatch:
         at.put_rows(self.blocks, at.STATE, self.engine.advance(np.clip(actions, -1.0, 1.0)))
 
     def set_substeps(self, substeps: int) -> None:
-        """Replace the number of integration steps per sample that the arms need by another, until they are reset.
+        """Replace the number of integration steps per sample that the arms need by another, until some are reset.
 
         Raises:
             ValueError: If it is not a whole number from 1 to `MAX_SUBSTEPS`, or another engine moves the arms.
@@ -242,6 +267,7 @@ class ArmBatch:
             raise ValueError('model="mujoco" takes steps of its own: choose their number with "lumped" or "lagrangian"')
         count = whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
+        self._substeps = count
 
     def observe(self, observations: Singles, arms: Integers | None = None) -> None:
         """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
@@ -280,12 +306,22 @@ class ArmBatch:
 
     @property
     def steps(self) -> Floats:
-        """Steps since each episode's start, shape (num_arms,)."""
+        """Steps since each move's start, shape (num_arms,)."""
         return at.rows(self.blocks, at.STEP, 1, self.num_arms)[:, 0]
 
     @property
+    def earlier_steps(self) -> Floats:
+        """Steps of each episode before its move, shape (num_arms,)."""
+        return at.rows(self.blocks, at.EARLIER, 1, self.num_arms)[:, 0]
+
+    @property
+    def move_numbers(self) -> Integers:
+        """Number of each arm's move in its episode, from 0 on, shape (num_arms,)."""
+        return (self.earlier_steps / EPISODE_STEPS).astype(np.intp)
+
+    @property
     def times(self) -> Floats:
-        """Time since each episode's start [s], shape (num_arms,)."""
+        """Time since each move's start [s], shape (num_arms,)."""
         return self.steps * CONTROL_PERIOD
 
     def tip_errors(self) -> Floats:
@@ -306,4 +342,10 @@ class ArmBatch:
         """Sum up the episodes of some arms: shape (len(TOTALS), num_arms), zero for the other arms."""
         totals = np.zeros((len(TOTALS), self.num_arms))
         at.for_lanes(episode_totals, self.lanes)(self.blocks, arms, terminated, totals)
+        return totals
+
+    def move_totals(self, arms: Integers) -> Floats:
+        """Sum up the moves of some arms, which are over: shape (len(MOVE_TOTALS), num_arms), zero for the others."""
+        totals = np.zeros((len(MOVE_TOTALS), self.num_arms))
+        at.for_lanes(move_totals, self.lanes)(self.blocks, arms, totals)
         return totals

@@ -15,7 +15,7 @@ from beltarm_env import observation
 from beltarm_env.arguments import Arguments
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.batch import ArmBatch, new_renderer
+from beltarm_env.batch import MOVE_TOTALS, ArmBatch, new_renderer
 from beltarm_env.engine import prepared
 from beltarm_env.kernels.layout import Driven, for_lanes
 from beltarm_env.kernels.step import step_arm
@@ -26,7 +26,7 @@ from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from beltarm_env.timing import CONTROL_PERIOD
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 _ARM = np.array([0])
 _array, _empty, _SINGLE = np.ndarray, np.empty, np.dtype(np.float32)  # looked up here, not at every step
@@ -82,9 +82,10 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     | 22 | ramp time of the move | 0.2 | 2 | s |
     | 23 | time since the move's start | 1 | 2 | s |
     | 24 | torque commanded in the last step, over its limit | 1 | 1 | - |
-    | 25 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
-    | 25, 26 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
-    | 25, 26 | `sensors="accelerometer"`: acceleration of the tip along and across the hand | 10 | 80 | m/s² |
+    | 25 | whether the gripper holds a part (`payload_mass` above 0): 1 or 0 | 1 | 1 | - |
+    | 26 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
+    | 26, 27 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+    | 26, 27 | `sensors="accelerometer"`: acceleration of the tip along and across the hand | 10 | 80 | m/s² |
 
     ## Rewards
 
@@ -95,16 +96,28 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
 
     At rest at the start of a random move: from and to anywhere in 0–90°, at least 15°, in 0.5 to 1.2 s.
 
+    ## A Shift of Several Moves
+
+    An episode has `moves` moves of 1200 steps (1.8 s) each, 1 by default. A further move begins in the step that ends
+    the one before, whose observation is its first. It starts at the last goal, and from the state that the arm is in:
+    nothing comes to rest, no command or measurement is lost, and arm and drive are the same. Every other move, from the
+    first one on, carries a part whose mass is drawn anew; the ways back are empty. Friction drifts on from where it has
+    got to, within 0.8 and 1.25 times what it was at first. `params`, `move`, `time` and `reference(t)` are those of the
+    present move, and `move_number` counts it from 0 on.
+
     ## Episode End
 
-    Truncated after 1200 steps (1.8 s), or sooner with `gymnasium.make("BeltArm-v0", max_episode_steps=…)`. Terminated
-    when joint or arm angle leaves −14.3° to 104.3°. The last step may be both.
+    Truncated after the last move, 1200 steps for each, or sooner with
+    `gymnasium.make("BeltArm-v0", max_episode_steps=…)`. Terminated when joint or arm angle leaves −14.3° to 104.3°. The
+    last step may be both.
 
     ## Information
 
     Every step: `tip_error` [m], at most 1e6, `cost_position`, `cost_velocity`, `cost_torque_rate`. And of the episode
     until now: `total_cost` with its terms, `episode_steps`, `tip_error_rms` and `tip_error_max` [m]. A batch of arms
-    tells these where an episode ends.
+    tells these where an episode ends. With the last step of each move: `move_cost`, `move_tip_error_rms` and
+    `move_tip_error_max` [m], `move_vibration` [m], the peak-to-peak tip error after the move's end along x or y,
+    whichever is larger, and `move_still_time` [s], from the move's end until the tip error stays within 0.5 mm.
 
     ## Arguments
 
@@ -130,6 +143,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: float = 0,
+        moves: int = 1,
         render_mode: Literal["human", "rgb_array"] | None = None,
     ) -> None:
         """Create the environment.
@@ -145,6 +159,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
                 "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
             delay: Samples by which encoder, tachometer and accelerometer lag, 0 to 2; it need not be whole.
+            moves: Moves of an episode, 1 to 1000. Where there are several and `randomization` is a word, parts weigh
+                0.05 to 0.5 kg (`PART_MASS`).
             render_mode: "human" for a window, "rgb_array" for frames, None for neither.
 
         Raises:
@@ -160,13 +176,16 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             "randomization": randomization,
             "encoder_counts": encoder_counts,
             "delay": delay,
+            "moves": moves,
         }
         self._batch = ArmBatch(1, **arguments, lanes=1)
         self._hold(**arguments, render_mode=render_mode)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
+        self._max_episode_steps = EPISODE_STEPS * self.num_moves
         self._size = observation.size(sensors)
         self._ready = False  # reset at least once
+        self._move_ends = 0  # steps of the episode after which its move is over
         self._running = False  # within an episode
         self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
         self._steps: dict[Driven, Callable[..., Any]] = {}  # for each drive that an episode had
@@ -181,7 +200,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             seed: Seed of `np_random`, from which parameters and move are drawn.
             options: What to fix instead of drawing it: `params`, a mapping of `ArmParams` fields; `move`, a mapping of
                 `start`, `goal` [rad], `duration`, `ramp_time` [s]; `state`, x at the start (default: at rest at the
-                move's start).
+                move's start). Of an episode of several moves, `move`, `payload_mass` and `friction_drift` are the
+                first one's.
 
         Raises:
             ValueError: On an unknown name or a value out of range.
@@ -190,7 +210,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         super().reset(seed=seed)
         self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
         self._ready = self._running = True
-        self._step_arm = None
+        self._step_arm, self._move_ends = None, EPISODE_STEPS
         result = np.empty((1, self._size), np.float32)
         self._batch.observe(result)
         if self._renderer is not None:
@@ -232,11 +252,23 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             "tip_error_rms": rms,
             "tip_error_max": largest,
         }
+        if steps == self._move_ends:
+            info |= self._end_move(result, terminated or truncated)
         if terminated or truncated:
             self._running, self._step_arm = False, None
         if self._render_mode == "human":
             self.render()
         return result, reward, terminated, truncated, info
+
+    def _end_move(self, result: Singles, over: bool) -> dict[str, float]:
+        """Sum up the move that is over, begin the next one unless the episode is over too, and observe it."""
+        totals = self._batch.move_totals(_ARM)[:, 0].tolist()
+        if not over:
+            self._batch.next_moves(_ARM, self.np_random.random((1, DRAWS)))
+            self._batch.observe(result.reshape(1, -1))
+            self._move_ends += EPISODE_STEPS
+            self._step_arm = None  # its drift may be the first effect of an ideal drive, or was the last of a real one
+        return dict(zip(MOVE_TOTALS, totals, strict=True))
 
     def _prepared(self) -> Callable[..., Any]:
         """Return what steps the arm of the episode that runs, prepared once for every drive."""
@@ -296,17 +328,22 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
 
     @property
     def params(self) -> ArmParams:
-        """Physical constants of this episode's arm."""
+        """Physical constants of the arm in this move."""
         return self._batch.params(0)
 
     @property
     def move(self) -> dict[str, float]:
-        """This episode's move: start, goal [rad], duration, ramp_time [s]."""
+        """The move: start, goal [rad], duration, ramp_time [s]."""
         return dict(zip(MOVE_FIELDS, self._batch.moves[0].tolist(), strict=True))
 
     @property
+    def move_number(self) -> int:
+        """Number of the move in its episode, from 0 on."""
+        return int(self._batch.move_numbers[0])
+
+    @property
     def time(self) -> float:
-        """Time since the episode's start [s]."""
+        """Time since the move's start [s]."""
         return float(self._batch.times[0])
 
     def set_integration_steps(self, steps: int) -> None:

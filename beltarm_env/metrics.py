@@ -11,6 +11,7 @@ import numpy as np
 
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
+from beltarm_env.task.cost import STILL_BAND, still_time
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 SETTLING_BAND = 0.001
@@ -41,6 +42,7 @@ METRICS = {
     "residual_lateral_pp_mm": Metric("residual p-p, lateral", "mm", detail=True),
     "tip_acc_rms": Metric("tip acc. RMS", "m/s²", digits=2),
     "settling_s": Metric("settling", "s", digits=2),
+    "still_s": Metric("time until still", "s", digits=2),
     "failure_share": Metric("not settled", "%", digits=0, share=True),
     "not_arrived_share": Metric("not arrived", "%", digits=0, share=True),
     "torque_rms": Metric("torque RMS", "N m", digits=3),
@@ -74,6 +76,7 @@ def episode_metrics(
     move_duration: Floats,
     cost: Floats,
     finished: Flags,
+    torque_before: Floats | float = 0.0,
 ) -> dict[str, Floats]:
     """Compute the metrics of n episodes of T steps.
 
@@ -85,19 +88,24 @@ def episode_metrics(
         move_duration: [s], shape (n,).
         cost: Cost of the whole episode, shape (n,).
         finished: False where the arm left the workspace, which counts as a failure; shape (n,).
+        torque_before: Motor torque before the first step [N m], shape (n,).
 
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
         peak-to-peak residual vibration, its radial and lateral part, and both together (mm); RMS error of the tip's
-        acceleration (m/s^2); settling time (s); failure (0 or 1); whether it did not arrive (0 or 1); RMS torque (N m)
-        and torque rate (N m/s); reversals of the torque per second; share of samples at the torque limit; cost.
+        acceleration (m/s^2); settling time (s); time from the move's end until the tip stays within 0.5 mm of its
+        reference, or what is left of the move (s); failure (0 or 1); whether it did not arrive (0 or 1); RMS torque
+        (N m) and torque rate (N m/s); reversals of the torque per second; share of samples at the torque limit; cost.
     """
     distance = np.linalg.norm(tip_error, axis=2)
     acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
     residual = 1000 * residual_vibration(tip_error, move_duration)
     settling = settling_time(tip_error)
     failed = ~finished | np.isinf(settling)
-    torque_rate = np.diff(torque, axis=0, prepend=0.0) / CONTROL_PERIOD
+    before = np.broadcast_to(torque_before, (1, torque.shape[1]))
+    torque_rate = np.diff(torque, axis=0, prepend=before) / CONTROL_PERIOD
+    last = len(distance) - np.argmax(distance[::-1] > STILL_BAND, axis=0)  # step after which it was last away
+    unstill = np.where((distance > STILL_BAND).any(axis=0), last, 0)
     return {
         "tip_rms_mm": 1000 * np.sqrt(np.mean(distance**2, axis=0)),
         "tip_max_mm": 1000 * distance.max(axis=0),
@@ -106,6 +114,7 @@ def episode_metrics(
         "residual_lateral_pp_mm": residual[:, 1],
         "tip_acc_rms": np.sqrt(np.mean(np.sum(acceleration_error**2, axis=2), axis=0)),
         "settling_s": np.where(failed, EPISODE_TIME, settling),
+        "still_s": np.array([still_time(*each) for each in zip(unstill.tolist(), move_duration.tolist(), strict=True)]),
         "failure_share": failed.astype(np.float64),
         "not_arrived_share": (~finished | (mean_error(tip_error, move_duration) > ARRIVAL_BOUND)).astype(np.float64),
         "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),

@@ -8,7 +8,8 @@ Measured quantities come from the motor's encoder: the angle in whole counts, th
 over the control period. Its index pulse makes the angle within the motor's turn absolute; sine and cosine of twice that
 angle are what torque ripple, friction and errors of the gear repeat with. The reference ahead is given at `LOOKAHEADS`,
 and the move itself by start, goal, duration, ramp time and elapsed time, enough to rebuild the reference at any time.
-Of the torque there is what was commanded: what a drive makes of a command, it does not report.
+Of the torque there is what was commanded: what a drive makes of a command, it does not report. Whether the gripper
+holds a part is known, for who closes it knows; the part's mass is not.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 
 from beltarm_env.arrays import Floats, Singles
 
-LAYOUT = 2
-"""Version of what the entries mean; raise it where that changes but their names, units, scales and bounds do not."""
+LAYOUT = 3
+"""Version of the entries: raise it where one is added or moved, or means something else."""
 LOOKAHEADS = (0.03, 0.06, 0.12, 0.20, 0.40)
 """How far ahead of the current sample the reference is shown [s]."""
 
@@ -56,6 +57,7 @@ _MOVE = (
     Entry("ramp_time", "s", 0.2, 2.0),
     Entry("elapsed_time", "s", 1.0, 2.0),
     Entry("last_command", "of limit", 1.0, 1.0),
+    Entry("holds_part", "-", 1.0, 1.0),
 )
 _ACCELERATIONS = (
     Entry("tip_acceleration_along", "m/s^2", 10.0, 80.0),

@@ -24,30 +24,43 @@ if TYPE_CHECKING:
 
 _STATES = {"motor_angle": "rad", "motor_speed": "rad/s", "torsion": "rad", "torsion_speed": "rad/s"}
 _ERRORS = {"tip_error_radial": "m", "tip_error_lateral": "m"}
-_UNITS = {"arm": "", "time": "s", **_STATES, "torque": "N m", **_ERRORS}  # of the columns of a table
+_UNITS = {"arm": "", "move": "", "time": "s", **_STATES, "torque": "N m", **_ERRORS}  # of the columns of a table
 _PER_SAMPLE = ("state", "torque", "tip_error", "tip_velocity_error")
 _MOST_DRAWN = 12  # arms in a picture
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Recording:
-    """n episodes of T steps; row k is the sample after step k + 1. SI units."""
+    """n moves of T steps; row k is the sample after step k + 1. SI units.
+
+    An episode of several moves has a column for each: column k * num_arms + i is move k of arm i.
+    """
 
     state: Floats  # x [rad, rad/s]        (T, n, 4)
     torque: Floats  # commanded [N m]      (T, n)
     tip_error: Floats  # radial, lateral [m]     (T, n, 2)
     tip_velocity_error: Floats  # [m/s]     (T, n, 2)
-    cost: Floats  # of the whole episode    (n,)
-    finished: Flags  # False where the arm left the workspace, and stayed where it was    (n,)
+    cost: Floats  # of the whole move       (n,)
+    finished: Flags  # False from where the arm left the workspace on, and stayed where it was    (n,)
     params: Floats  # columns as `ArmParams`     (n, len(FIELDS))
     moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
+    num_moves: int = 1  # of an episode
+    torque_before: Floats | float = 0.0  # commanded before the move [N m]     (n,)
 
     def __repr__(self) -> str:
         """Return size, median scores, and how many arms left the workspace, in one line."""
-        count, metrics = len(self.cost), self.metrics()
+        count, metrics = self.num_arms, self.metrics()
+        moves = f", {self.num_moves} moves" if self.num_moves > 1 else ""
         scores = f"cost {np.median(self.cost):.0f}, tip RMS {np.median(metrics['tip_rms_mm']):.1f} mm"
-        left = f"; {np.sum(~self.finished)} left the workspace" if not self.finished.all() else ""
-        return f"Recording({count} arm{'s' if count != 1 else ''}, {len(self.state)} samples: median {scores}{left})"
+        away = np.sum(~self.finished[-count:])
+        left = f"; {away} left the workspace" if away else ""
+        arms = f"{count} arm{'s' if count != 1 else ''}{moves}"
+        return f"Recording({arms}, {len(self.state)} samples: median {scores}{left})"
+
+    @property
+    def num_arms(self) -> int:
+        """Number of arms."""
+        return len(self.cost) // self.num_moves
 
     @property
     def time(self) -> Floats:
@@ -55,16 +68,30 @@ class Recording:
         return np.arange(1, len(self.state) + 1, dtype=np.float64) * CONTROL_PERIOD
 
     def arm(self, k: int) -> Recording:
-        """Recording of one of the arms.
+        """Recording of one of the arms, all its moves.
 
         Raises:
             IndexError: If there is no such arm.
         """
-        if not 0 <= k < len(self.cost):
-            raise IndexError(f"there are arms 0 to {len(self.cost) - 1}, got {k}")
-        one = slice(k, k + 1)
+        if not 0 <= k < self.num_arms:
+            raise IndexError(f"there are arms 0 to {self.num_arms - 1}, got {k}")
+        return self._part(slice(k, None, self.num_arms), self.num_moves)
+
+    def of_move(self, k: int) -> Recording:
+        """Recording of one of the moves, of all arms.
+
+        Raises:
+            IndexError: If there is no such move.
+        """
+        if not 0 <= k < self.num_moves:
+            raise IndexError(f"there are moves 0 to {self.num_moves - 1}, got {k}")
+        return self._part(slice(k * self.num_arms, (k + 1) * self.num_arms), 1)
+
+    def _part(self, columns: slice, num_moves: int) -> Recording:
         of_all = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Recording(**{name: of[:, one] if name in _PER_SAMPLE else of[one] for name, of in of_all.items()})
+        arrays = {name: of for name, of in of_all.items() if isinstance(of, np.ndarray)}
+        parts = {name: of[:, columns] if name in _PER_SAMPLE else of[columns] for name, of in arrays.items()}
+        return Recording(**{**of_all, **parts, "num_moves": num_moves})
 
     def metrics(self) -> dict[str, Floats]:
         """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""
@@ -76,10 +103,11 @@ class Recording:
             self.moves[:, 2],
             self.cost,
             self.finished,
+            self.torque_before,
         )
 
     def to_pandas(self) -> pd.DataFrame:
-        """Table of all samples: a row per arm and time; states, commanded torque, tip errors, in SI units.
+        """Table of all samples: a row per arm, move and time; states, commanded torque, tip errors, in SI units.
 
         Raises:
             ImportError: If pandas is not installed.
@@ -90,7 +118,8 @@ class Recording:
         """Write the table of `to_pandas` as a Parquet file: all of it, or nothing.
 
         Each column names its unit in its metadata, "unit". The file's metadata "beltarm" is JSON: an array with a
-        number per arm for each constant in "params" and in "moves", and for "cost" and "finished".
+        number per arm for each constant in "params" and in "moves", and for "cost" and "finished"; of several moves
+        those of the first one of all arms, then of the second one, and so on.
 
         Args:
             path: The file to create or replace; its folder is created.
@@ -123,9 +152,11 @@ class Recording:
             temporary.unlink(missing_ok=True)
 
     def _columns(self) -> dict[str, Any]:
-        """Columns of a table of all samples, arm after arm."""
+        """Columns of a table of all samples, move after move and in it arm after arm."""
         steps, count = self.torque.shape
-        columns: dict[str, Any] = {"arm": np.repeat(np.arange(count), steps), "time": np.tile(self.time, count)}
+        move, arm = np.divmod(np.arange(count), self.num_arms)
+        columns: dict[str, Any] = {"arm": np.repeat(arm, steps), "move": np.repeat(move, steps)}
+        columns |= {"time": np.tile(self.time, count)}
         columns |= {name: self.state[:, :, k].T.ravel() for k, name in enumerate(_STATES)}
         columns |= {"torque": self.torque.T.ravel()}
         return columns | {name: self.tip_error[:, :, k].T.ravel() for k, name in enumerate(_ERRORS)}
@@ -148,8 +179,9 @@ class Recording:
         )
         count = min(len(self.cost), _MOST_DRAWN)
         for k in range(count):
-            colour = f"C{k}"
-            error.plot(self.time, 1e3 * np.hypot(*self.tip_error[:, k].T), color=colour, lw=1, label=f"arm {k}")
+            colour, (move, arm) = f"C{k}", divmod(k, self.num_arms)
+            label = f"arm {arm}, move {move}" if self.num_moves > 1 else f"arm {arm}"
+            error.plot(self.time, 1e3 * np.hypot(*self.tip_error[:, k].T), color=colour, lw=1, label=label)
             torque.plot(self.time, self.torque[:, k], color=colour, lw=0.8)
             phase.plot(1e3 * self.state[:, k, 2], self.state[:, k, 3], color=colour, lw=0.6)
         for axis in (error, torque):

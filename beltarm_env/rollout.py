@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.recording import Recording
+from beltarm_env.task.cost import MAX_COST
 from beltarm_env.timing import EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
 
@@ -91,12 +92,14 @@ def rollout(
 ) -> Recording:
     """Run one episode on each of `num_arms` arms.
 
+    An episode of several moves, `moves=8` for example, is one `Recording` with a column for each arm and move.
+
     Args:
         controller: What to run; sees observations only.
         num_arms: Number of arms, run side by side.
         seed: Arm i is seeded with `seed + i`.
         options: What to fix, see `BeltArmVectorEnv.reset`.
-        **settings: Arguments of `BeltArmVectorEnv`: sensors, profile, randomization, ...
+        **settings: Arguments of `BeltArmVectorEnv`: sensors, profile, randomization, moves, ...
 
     Raises:
         ValueError: If a setting or option is not allowed, the controller is made for arms with another gear ratio or
@@ -135,37 +138,75 @@ def record(
     `seed` may also be one number per arm.
 
     Raises:
-        ValueError: As `rollout`, and if the environment's episodes are shorter than 1200 steps.
+        ValueError: As `rollout`, and if the environment's episodes are shorter than 1200 steps for each move.
     """
-    if env.max_episode_steps != EPISODE_STEPS:
-        raise ValueError(
-            f"a rollout has {EPISODE_STEPS} steps, got max_episode_steps={env.max_episode_steps}: leave it out"
-        )
-    num_arms = env.num_envs
+    num_arms, num_moves = env.num_envs, env.num_moves
+    steps = EPISODE_STEPS * num_moves
+    if env.max_episode_steps != steps:
+        raise ValueError(f"a rollout has {steps} steps, got max_episode_steps={env.max_episode_steps}: leave it out")
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
-    params, moves = env.params_table, env.moves
-    check_data_sheet(nominal_params(controller), params, type(controller).__name__)
-    states = np.empty((EPISODE_STEPS, num_arms, 4))
-    errors = np.empty((EPISODE_STEPS, num_arms, 4))
-    torque = np.empty((EPISODE_STEPS, num_arms))
-    steps = np.full(num_arms, EPISODE_STEPS)  # until the arm left the workspace
-    finished = np.ones(num_arms, np.bool_)
-    cost = np.zeros(num_arms)
+    check_data_sheet(nominal_params(controller), env.params_table, type(controller).__name__)
+    made = _Made.empty(num_moves, num_arms)
+    left: dict[int, tuple[int, int]] = {}  # move and sample in which an arm left the workspace
+    staying = np.ones(num_arms, np.bool_)
     memory: Any = None
     start = np.ones(num_arms, np.bool_)
-    for k in range(EPISODE_STEPS):
-        action, memory = controller.predict(observation, memory, start, deterministic=True)
-        observation, reward, terminated, truncated, _ = env.step(action)
-        torque[k], states[k], errors[k] = action[:, 0], env.state, env.tip_errors()
-        cost -= reward * finished
-        start = terminated
-        if terminated.any():
-            steps[terminated & finished] = k + 1
-            finished &= ~terminated
-            if not truncated.any():  # keep the batch going; what these arms do from now on is not recorded
-                observation, _ = env.reset(options={"reset_mask": terminated})
-    for arm in np.flatnonzero(~finished):
-        end = steps[arm]
-        states[end:, arm], errors[end:, arm], torque[end:, arm] = states[end - 1, arm], errors[end - 1, arm], 0.0
-    torque = np.clip(torque, -1, 1, out=torque) * params[:, COLUMN.torque_limit]
-    return Recording(states, torque, errors[:, :, :2], errors[:, :, 2:], cost, finished, params, moves)
+    for move in range(num_moves):
+        made.params[move], made.moves[move] = env.params_table, env.moves
+        for k in range(EPISODE_STEPS):
+            action, memory = controller.predict(observation, memory, start, deterministic=True)
+            observation, reward, terminated, truncated, _ = env.step(action)
+            made.torque[k, move], made.states[k, move], made.errors[k, move] = action[:, 0], env.state, env.tip_errors()
+            made.cost[move] -= reward * staying
+            start = terminated
+            if terminated.any():
+                left |= {int(arm): (move, k) for arm in np.flatnonzero(terminated & staying)}
+                staying &= ~terminated
+                if not truncated.any():  # keep the batch going; what these arms do from now on is not recorded
+                    observation, _ = env.reset(options={"reset_mask": terminated})
+    for arm, (move, k) in left.items():
+        made.stop(arm, move, k)
+    return made.recording()
+
+
+class _Made(NamedTuple):
+    """Recording in the making; axes are samples, moves and arms."""
+
+    states: Floats  # (T, moves, n, 4)
+    errors: Floats  # (T, moves, n, 4)
+    torque: Floats  # over the limit    (T, moves, n)
+    cost: Floats  # (moves, n)
+    finished: Flags  # (moves, n)
+    params: Floats  # (moves, n, len(FIELDS))
+    moves: Floats  # (moves, n, 4)
+
+    @classmethod
+    def empty(cls, num_moves: int, num_arms: int) -> _Made:
+        each = num_moves, num_arms
+        samples = EPISODE_STEPS, *each
+        motion = np.empty((*samples, 4)), np.empty((*samples, 4)), np.empty(samples)
+        constants = np.empty((*each, len(FIELDS))), np.empty((*each, 4))
+        return cls(*motion, np.zeros(each), np.ones(each, np.bool_), *constants)
+
+    def stop(self, arm: int, move: int, k: int) -> None:
+        """Let an arm stay where it left the workspace, in sample k of a move, and charge it for all later moves."""
+        last_state, last_error = self.states[k, move, arm].copy(), self.errors[k, move, arm].copy()
+        rest = (slice(k + 1, None), move, arm), (slice(None), slice(move + 1, None), arm)
+        for part in rest:
+            self.states[part], self.errors[part], self.torque[part] = last_state, last_error, 0.0
+        later, whole = len(self.cost) - move - 1, MAX_COST * EPISODE_STEPS
+        self.finished[move:, arm] = False
+        self.cost[move, arm] -= later * whole
+        self.cost[move + 1 :, arm] = whole
+        self.params[move + 1 :, arm], self.moves[move + 1 :, arm] = self.params[move, arm], self.moves[move, arm]
+
+    def recording(self) -> Recording:
+        states, errors, torque, cost, finished, params, moves = self
+        torque = np.clip(torque, -1, 1, out=torque) * params[..., COLUMN.torque_limit]
+        before = np.concatenate([np.zeros((1, cost.shape[1])), torque[-1, :-1]])
+        columns = cost.size
+        motion = states.reshape(EPISODE_STEPS, columns, 4), torque.reshape(EPISODE_STEPS, columns)
+        errors = errors.reshape(EPISODE_STEPS, columns, 4)
+        constants = params.reshape(columns, -1), moves.reshape(columns, 4)
+        outcome = cost.ravel(), finished.ravel(), *constants
+        return Recording(*motion, errors[:, :, :2], errors[:, :, 2:], *outcome, len(cost), before.ravel())

@@ -16,7 +16,7 @@ from beltarm_env import observation
 from beltarm_env.arguments import Arguments, fixed
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.batch import TERMS, TOTALS, ArmBatch, new_renderer, whole
+from beltarm_env.batch import AT_ONCE, MOVE_TOTALS, TERMS, TOTALS, ArmBatch, new_renderer, whole
 from beltarm_env.engine import in_threads
 from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
@@ -32,7 +32,7 @@ from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrappi
 from beltarm_env.timing import EPISODE_STEPS
 
 _WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
-    names: (*names, *(f"_{name}" for name in names)) for names in (TERMS, TOTALS)
+    names: (*names, *(f"_{name}" for name in names)) for names in (TERMS, TOTALS, MOVE_TOTALS)
 }
 _NONE = np.empty(0, dtype=np.intp)
 
@@ -40,6 +40,21 @@ _NONE = np.empty(0, dtype=np.intp)
 def _masked(names: tuple[str, ...], values: Floats, mask: Flags) -> dict[str, Any]:
     """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
     return dict(zip(_WITH_MASKS[names], (*values, *(mask.copy() for _ in names)), strict=True))
+
+
+def _drawn(streams: Streams, arms: Integers) -> Floats:
+    """Draw the numbers of an episode, or of a further move, for some arms from their streams."""
+    draws = np.empty((len(arms), DRAWS))
+    with wrapping():
+        draw(streams, arms, draws)
+    return draws
+
+
+def _moves_among(moves: tuple[Floats, Flags] | None, arms: Flags) -> dict[str, Any]:
+    """Info entries of the moves that are over, of these arms."""
+    if moves is None or not (ended := moves[1] & arms).any():
+        return {}
+    return _masked(MOVE_TOTALS, np.where(ended, moves[0], 0.0), ended)
 
 
 class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -67,8 +82,9 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: ArrayLike = 0,
+        moves: int = 1,
         num_threads: int = 1,
-        max_episode_steps: int = EPISODE_STEPS,
+        max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
@@ -82,9 +98,10 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             randomization: As in `BeltArmEnv`; every arm draws its own parameters.
             encoder_counts: As in `BeltArmEnv`.
             delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
+            moves: As in `BeltArmEnv`.
             num_threads: Threads that may step the arms, at most 256. Their number changes no result; batches so small
                 that they would be slower with them use fewer.
-            max_episode_steps: Steps after which an episode is truncated, at most 1200.
+            max_episode_steps: Steps after which an episode is truncated, at most 1200 for each move, as by default.
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 
@@ -97,7 +114,6 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
         self._num_envs = int(num_envs)
-        self._max_episode_steps = whole("max_episode_steps", max_episode_steps, 1, EPISODE_STEPS)
         try:
             self._autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -111,8 +127,12 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             "randomization": randomization,
             "encoder_counts": encoder_counts,
             "delay": delay,
+            "moves": moves,
         }
         self._batch = ArmBatch(self._num_envs, **arguments, num_threads=num_threads)
+        most = EPISODE_STEPS * self._batch.num_moves
+        given = most if max_episode_steps is None else max_episode_steps
+        self._max_episode_steps = whole("max_episode_steps", given, 1, most)
         self._hold(**arguments, render_mode=render_mode)
         self._num_threads = self._batch.num_threads
         self.single_observation_space = self._batch.observation_space
@@ -124,6 +144,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
         self._stepped = 0.0  # when the last step was done [s]
+        self._least_left = EPISODE_STEPS  # no arm has fewer steps of its move left
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -149,10 +170,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         streams = self._seeded(seed, arms)
         if options:
-            draws = np.empty((len(arms), DRAWS))
-            with wrapping():
-                draw(streams, arms, draws)
-            self._batch.reset(arms, draws, options)
+            self._batch.reset(arms, _drawn(streams, arms), options)
         else:
             self._batch.restart(arms, streams)  # the same, and needs no memory for the draws
         self._streams = streams
@@ -196,8 +214,8 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long
         restarted = self._ended if self._autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
-        if self._max_episode_steps < EPISODE_STEPS:
-            truncated |= batch.steps >= self._max_episode_steps
+        if self._max_episode_steps < EPISODE_STEPS * self._num_moves:
+            truncated |= batch.earlier_steps + batch.steps >= self._max_episode_steps
         if len(restarted):
             stepped[restarted] = False
             rewards[restarted] = 0.0
@@ -207,23 +225,52 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         over = terminated | truncated
         (self._ended,) = over.nonzero()
         info = _masked(TERMS, terms, stepped)
+        self._least_left -= 1
+        moves = self._end_moves(result, terminated) if self._least_left <= 0 else None
         if len(self._ended):
-            info = self._finished(info, result, over, terminated)
+            info = self._finished(info, moves, result, over, terminated)
+        elif moves is not None:
+            info |= _masked(MOVE_TOTALS, *moves)
         return result, rewards, terminated, truncated, info
 
-    def _finished(self, info: dict[str, Any], result: Singles, over: Flags, terminated: Flags) -> dict[str, Any]:
+    def _end_moves(self, result: Singles, terminated: Flags) -> tuple[Floats, Flags] | None:
+        """Sum up the moves that are over and begin the next ones; return the sums and the arms that they are of."""
+        assert self._streams is not None, "there was a reset"
+        batch = self._batch
+        steps = batch.steps
+        ended = steps == EPISODE_STEPS
+        self._least_left = EPISODE_STEPS - int(steps.max(initial=0, where=steps < EPISODE_STEPS))
+        if not ended.any():
+            return None
+        totals = batch.move_totals(np.flatnonzero(ended))
+        going_on = np.flatnonzero(ended & ~terminated & (batch.move_numbers < self._num_moves - 1))
+        for low in range(0, len(going_on), AT_ONCE):
+            arms = going_on[low : low + AT_ONCE]
+            batch.next_moves(arms, _drawn(self._streams, arms))
+            batch.observe(result, arms)
+        return totals, ended
+
+    def _finished(
+        self,
+        info: dict[str, Any],
+        moves: tuple[Floats, Flags] | None,
+        result: Singles,
+        over: Flags,
+        terminated: Flags,
+    ) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
         totals = _masked(TOTALS, self._batch.totals(self._ended, terminated), over)
         if self._autoreset_mode is not AutoresetMode.SAME_STEP:
-            return {**info, **totals}
+            return {**info, **totals, **_moves_among(moves, np.ones_like(over))}
         terms = np.stack([info[name] for name in TERMS])
-        final_info = {**_masked(TERMS, np.where(over, terms, 0.0), over), **totals}
+        final_info = {**_masked(TERMS, np.where(over, terms, 0.0), over), **totals, **_moves_among(moves, over)}
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in self._ended:
             final_observations[arm] = result[arm].copy()
         self._restart(self._ended, result)
         return {
             **_masked(TERMS, np.where(over, 0.0, terms), ~over),
+            **_moves_among(moves, ~over),
             "final_obs": final_observations,
             "_final_obs": over.copy(),
             "final_info": final_info,
@@ -302,7 +349,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
 
     @property
     def params(self) -> list[ArmParams]:
-        """Physical constants of each arm."""
+        """Physical constants of each arm in its move."""
         return [self._batch.params(arm) for arm in range(self.num_envs)]
 
     @property
@@ -318,6 +365,11 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
     def moves(self) -> Floats:
         """Moves, shape (num_envs, 4): start, goal [rad], duration, ramp_time [s]."""
         return self._batch.moves
+
+    @property
+    def move_numbers(self) -> Integers:
+        """Number of each arm's move in its episode, from 0 on, shape (num_envs,)."""
+        return self._batch.move_numbers
 
     def reference(self, time: float) -> Reference:
         """Reference `time` s after each move's start: angle, speed, acceleration at the joint, shape (num_envs,)."""

@@ -12,7 +12,7 @@ from itertools import product
 import gymnasium as gym
 import numpy as np
 
-EXPECTED = "f6e654f2818888c6d2763b77c21f7721243432ea3c2eab22083228bc109d4ad2"
+EXPECTED = "eec0a79319656e830a9e58949b11bc3dc43ab92e0374941e9ce9f1a34e12cdec"
 SETTINGS = tuple(product(("lumped", "lagrangian"), ("off", "train"), ("encoder", "accelerometer")))[:8]
 
 

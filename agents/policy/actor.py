@@ -16,7 +16,8 @@ from agents.policy.weights import FARTHEST, ActorShape, Weights
 
 MODULES: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 """Of `weights.ACTIVATIONS`."""
-_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
+_LEAST_DEVIATION = 1e-3  # of an input that is used: of one that never varies in training nothing is learnt
+_UNUSED = 1e6  # deviation by which an input is standardised that is not used
 
 
 class Standardised(nn.Module):
@@ -31,9 +32,10 @@ class Standardised(nn.Module):
         self.register_buffer("deviation", torch.ones(inputs))
 
     def set_scales(self, inputs: torch.Tensor) -> None:
-        """Take mean and deviation of inputs of shape (T, n, inputs)."""
+        """Take mean and deviation of inputs of shape (T, n, inputs); those that do not vary count as 0 from then on."""
         flat = inputs.flatten(0, 1)
-        self.mean, self.deviation = flat.mean(dim=0), flat.std(dim=0).clamp_min(_LEAST_DEVIATION)
+        self.mean, deviation = flat.mean(dim=0), flat.std(dim=0)
+        self.deviation = torch.where(deviation < _LEAST_DEVIATION, _UNUSED, deviation)
 
     def standardised(self, inputs: torch.Tensor, part: slice = slice(None)) -> torch.Tensor:
         """Standardise a part of the inputs, cut at `FARTHEST` deviations."""

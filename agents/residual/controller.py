@@ -18,7 +18,7 @@ from agents.residual.informed import InformedBase, InformedMemory
 from agents.residual.knowledge import KNOWLEDGE, Knowledge, cut
 from baselines.guard.controller import GuardedController, Torques
 from baselines.guard.settings import GuardSettings
-from baselines.reading import chosen
+from baselines.reading import beginning, chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller
@@ -98,7 +98,7 @@ class ResidualMemory:
     informed: InformedMemory | None
     policy: Any
     residual: Singles  # held, (n, 1)
-    age: NDArray[np.int64]  # samples since the episode's start, (n,)
+    age: NDArray[np.int64]  # samples since the move's start, (n,)
 
 
 class ResidualController:
@@ -121,14 +121,14 @@ class ResidualController:
         count = len(observation)
         if state is None:
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
-            episode_start = np.ones(count, np.bool_)
-        informed = self.informed.advance(observation, state.informed, episode_start)
-        age = state.age if episode_start is None else np.where(episode_start, 0, state.age)
+        begins = beginning(state.informed, episode_start, observation)
+        informed = self.informed.advance(observation, state.informed, begins)
+        age = np.where(begins, 0, state.age)
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0
         if due.any():
             seen = self.informed.seen(observation, informed)
-            fresh, following = self.policy.predict(seen, policy, episode_start, deterministic)
+            fresh, following = self.policy.predict(seen, policy, begins, deterministic)
             residual = np.where(due[:, None], fresh, residual)
             # By rows: the new memory where the policy decided, the old one elsewhere.
             policy = chosen(due, following, policy) if isinstance(policy, np.ndarray) else following

@@ -122,9 +122,9 @@ class ResidualVecEnv(VecEnv):
 
     def _spread(self, observation: Singles, start: Flags) -> tuple[Singles, Flags]:
         """Run the arms under the base for one episode, restarting one group after another."""
-        hold = self.settings.hold
-        turn = (np.arange(self.num_envs) * (EPISODE_STEPS // hold) // self.num_envs + 1) * hold
-        for step in range(1, EPISODE_STEPS + 1):
+        hold, steps = self.settings.hold, EPISODE_STEPS * self.env.num_moves
+        turn = (np.arange(self.num_envs) * (steps // hold) // self.num_envs + 1) * hold
+        for step in range(1, steps + 1):
             self._memory = self.informed.advance(observation, self._memory, start)
             observation, _, terminated, truncated, _ = self.env.step(self._memory.action)
             start = terminated | truncated

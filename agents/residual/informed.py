@@ -75,7 +75,7 @@ class InformedBase:
         if self._identifier is None:
             return InformedMemory(base, action, None, None, None)
         reading, before = read(observation, self._identifier.params), memory.belief if memory else None
-        begins = beginning(before, start, len(observation))
+        begins = beginning(before, start, observation)
         if isinstance(self.base, IdentifyingController):
             belief = self.base.belief(base)
         else:
@@ -98,8 +98,9 @@ class InformedBase:
             return final, self.advance(observation, memory, ended)
         action, base = self.base.predict(observation, memory.base, ended)
         reading = read(observation, self._identifier.params)
-        belief = self._identifier.reset(final.belief, reading.motor_angle, ended)
-        return final, InformedMemory(base, action, reading, belief, _unexplained(belief, memory, ended))
+        belief = self._identifier.reset(final.belief, reading, ended)
+        begins = beginning(memory, ended, observation)
+        return final, InformedMemory(base, action, reading, belief, _unexplained(belief, memory, begins))
 
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
         """Observation of the agent, shape (n, size + entries), at the sample that `memory` has advanced to."""

@@ -43,13 +43,16 @@ def _put_acceleration(block: Floats, lane: int, velocities: Floats, result: Floa
 
 
 @compiled
-def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation, result: Floats) -> None:
+def simulate(
+    beliefs: Floats, nominal: Floats, commands: Floats, deflections: Floats, room: Simulation, result: Floats
+) -> None:
     """Simulate one period from z, and from copies with one of its first entries perturbed by its step in each.
 
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
         commands: Of the past [N m], latest first, shape (arms, HISTORY).
+        deflections: Of the motors, see `Notes`, shape (arms,); changed to those after the period.
         room: Changed; holds the shapes of the arms' ripple then.
         result: x after the period, written: that of z, and then those of the copies, shape (arms or more, 4,
             1 + DIFFERENCED). With an accelerometer, its readings over the period stand below x, and there are more
@@ -58,7 +61,7 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
     """
     arms, accelerometer, block = len(beliefs), result.shape[1] > 4, room.block
     simulations = result.shape[2] - 4 if accelerometer else result.shape[2]
-    load(beliefs, nominal, room)
+    load(beliefs, nominal, deflections, room)
     load_commands(room.loaded, commands, 0)
     write_ripple(room.z, room.z, arms, room.shapes, room.ripple)
     at_once = max(LANES // arms, 1)
@@ -74,6 +77,8 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
         for k in range(begin, end):
             for arm in range(arms):
                 lane = (k - begin) * arms + arm
+                if k == 0:
+                    deflections[arm] = block[at.DEFLECTION * LANES + lane]
                 for i in range(4):
                     result[arm, i, k] = block[(at.STATE + i) * LANES + lane]
                 if accelerometer:

@@ -20,9 +20,17 @@ from baselines.estimation.believed_arm import (
 from baselines.estimation.simulation_lanes import Simulation, simulation_room
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.linear import linear_arms
+from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.engine import compiled
+from beltarm_env.engine import compiled, inlined
+
+PART = 0.2
+"""Mass that is believed of a part before it moves [kg]. Below the mean of `task.ranges.PART_MASS`: a plan for too light
+a part costs less than one for too heavy a part (development arms, loaded moves: 302 at 0.2, 309 at the mean, 0.275)."""
+_ARM_DOUBT = 0.55  # of ln S without a part, over `Uncertainty.swing`: 0.12, that of its training range
+_PART_DOUBT = 0.75  # [kg] of a part's mass, likewise: 0.16 kg; from 0.13 to 0.20 kg costs differ by 0.2 %
 
 
 class Tracks(NamedTuple):
@@ -32,6 +40,8 @@ class Tracks(NamedTuple):
     covariance: Floats  # of it, shape (m, SIZE, SIZE) or (m, ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)
     surprise: Floats  # w, shape (m,)
     noise_factor: Floats  # W of the accelerometer, shape (m,); 1 without one
+    holds: Flags  # whether the gripper holds a part, shape (m,)
+    without_part: Floats  # mean and variance of ln S when it last held none, shape (m, 2)
 
 
 class Inputs(NamedTuple):
@@ -40,14 +50,30 @@ class Inputs(NamedTuple):
     angle: Floats  # measured [rad], shape (m,)
     command: Floats  # of the last sample [N m], shape (m,)
     begins: Flags  # whether an episode begins, shape (m,)
+    moves: Flags  # whether a move begins, shape (m,)
+    holds: Flags  # whether the gripper holds a part, shape (m,)
     acceleration: Floats  # of an accelerometer, see `accelerometer.unfiltered`, shape (m, AXES); or (m, 1), unused
     acceleration_variance: Floats  # of their noise, of the same shape
 
 
-def inputs_of(angle: Floats, command: Floats, begins: Flags) -> Inputs:
-    """What arms without accelerometers tell; arguments of shape (m,)."""
-    unused = np.zeros((len(angle), 1))
-    return Inputs(angle, command, begins, unused, unused)
+def inputs_of(reading: Reading, begins: Flags) -> Inputs:
+    """What n arms tell beside their accelerometers, and which of them begin an episode, shape (n,)."""
+    unused = np.zeros((len(begins), 1))
+    moves, holds = reading.step == 0, reading.holds_part > 0.5
+    return Inputs(reading.motor_angle, reading.last_command, begins, moves, holds, unused, unused)
+
+
+def empty_inputs() -> Inputs:
+    """Room for what one arm tells."""
+    number, flag, unused = np.zeros(1), np.zeros(1, np.bool_), np.zeros((1, 1))
+    return Inputs(number, number.copy(), flag, flag.copy(), flag.copy(), unused, unused.copy())
+
+
+@inlined
+def write_inputs(now: Sample, begins: bool, inputs: Inputs) -> None:
+    """Write what one arm tells, and whether it begins an episode."""
+    inputs.angle[0], inputs.command[0] = now.motor_angle, now.last_command
+    inputs.begins[0], inputs.moves[0], inputs.holds[0] = begins, now.step == 0, now.holds_part > 0.5
 
 
 class Design(NamedTuple):
@@ -59,10 +85,15 @@ class Design(NamedTuple):
     mean: Floats  # z of an arm that begins, but for its angle, shape (SIZE or ACCELEROMETER_SIZE,)
     covariance: Floats  # of it, but for the angle's, shape (SIZE, SIZE) or (ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)
     torque: float  # standard deviation of the process noise [N m]
+    sticking: float  # that of a motor that sticks and gives, over it
     acceleration: float  # and of the torsion's [rad/s^2]
     doubtful: float  # standard deviation of the friction of a slow motor [N m]
     slow: float  # speed at which half of it is left [rad/s]
     decay: float  # share of d that is left after a sample
+    arm_swing: float  # mean of ln S without a part before anything is measured
+    arm_variance: float  # of it
+    part: float  # what a part adds to S, over the nominal S: mean
+    part_deviation: float  # and standard deviation
 
 
 class Room(NamedTuple):
@@ -110,6 +141,7 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
     mean = np.zeros(ACCELEROMETER_SIZE if accelerometer else SIZE)
     mean[LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
     mean[DELAY] = mean[LAG] + params.command_latency / CONTROL_PERIOD
+    swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
     return Design(
         nominal=nominal,
         by_noise=np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1),
@@ -117,8 +149,13 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
         mean=mean,
         covariance=uncertainty.accelerometer_covariance() if accelerometer else uncertainty.covariance(),
         torque=uncertainty.torque,
+        sticking=uncertainty.sticking,
         acceleration=uncertainty.acceleration,
         doubtful=params.static_friction_excess * params.coulomb_friction / 3**0.5,
         slow=params.stribeck_speed,
         decay=uncertainty.decay,
+        arm_swing=float(np.log(params.arm_inertia_swing / swing)),
+        arm_variance=(_ARM_DOUBT * uncertainty.swing) ** 2 + uncertainty.torque_constant**2,
+        part=per_mass * PART / swing,
+        part_deviation=per_mass * _PART_DOUBT * uncertainty.swing / swing,
     )

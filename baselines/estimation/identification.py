@@ -43,12 +43,13 @@ class Belief:
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
     commands: Floats = field(repr=False)  # the last ones, latest first [N m], shape (n, HISTORY)
+    deflection: Floats = field(repr=False)  # of the motors, see `Notes` [rad], shape (n,)
     acceleration: Floats | None = field(default=None, repr=False)  # last readings [m/s^2], shape (n, 2), where measured
 
     @property
     def notes(self) -> Notes:
         """The same as kernels read it."""
-        return Notes(self.tracks, self.count, self.angle, self.commands)
+        return Notes(self.tracks, self.count, self.angle, self.commands, self.deflection)
 
     @property
     def state(self) -> Floats:
@@ -132,10 +133,11 @@ class ArmIdentifier:
         Args:
             belief: That of the last sample; None at the beginning.
             reading: Measurements, and the torque commanded at the last sample.
-            begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
+            begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,). Of
+                others what is known lasts, but for a part that is picked or placed where the reading begins a move.
         """
         count, size = len(begins), len(self.design.mean)
-        inputs, acceleration = inputs_of(reading.motor_angle, reading.last_command, begins), None
+        inputs, acceleration = inputs_of(reading, begins), None
         notes = empty_notes(count, size, AXES if self._accelerometer else 0)
         if self._accelerometer:
             acceleration = reading.acceleration
@@ -154,15 +156,15 @@ class ArmIdentifier:
         if self._accelerometer:
             covariance = np.ascontiguousarray(tracks.covariance[:, :size, :size])
             tracks = tracks._replace(mean=tracks.mean[:, :size].copy(), covariance=covariance)
-        return Belief(tracks, notes.counts, notes.angle, notes.commands, acceleration)
+        return Belief(tracks, *notes[1:], acceleration)
 
-    def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
-        """Reset the belief about arms that begin an episode, at rest at motor angles [rad] of shape (n,)."""
+    def reset(self, belief: Belief, reading: Reading, begins: Flags) -> Belief:
+        """Reset the belief about arms that begin an episode at a reading, shape (n,)."""
         if not begins.any():
             return belief
-        tracks = Tracks(*(part.copy() for part in belief.tracks))
-        notes = Notes(tracks, belief.count.copy(), belief.angle.copy(), belief.commands.copy())
-        begin(self.design, inputs_of(angle, angle, begins), notes)
+        tracks = Tracks._make(part.copy() for part in belief.tracks)
+        notes = Notes(tracks, *(part.copy() for part in belief.notes[1:]))
+        begin(self.design, inputs_of(reading, begins), notes)
         return Belief(*notes, belief.acceleration)
 
     def estimate(self, belief: Belief) -> Estimate:

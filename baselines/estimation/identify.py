@@ -16,17 +16,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimation.arm_ekf import begin_track, correct
+from baselines.estimation.arm_ekf import begin_track, change_part, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
 from baselines.estimation.believed_motion import move_on, simulate
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_of
 from baselines.estimation.observer import QUANTUM
 from baselines.estimation.simulation_lanes import Simulation, load, write_table
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.engine import compiled
 from beltarm_env.engine.blocks import take_block
+from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES
+from beltarm_env.physics.friction import mode_of_giving
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -40,6 +42,7 @@ class Notes(NamedTuple):
     counts: Floats  # the encoder's resolution [rad], shape (m,); 0 before it has moved
     angle: Floats  # last measured [rad], shape (m,)
     commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
+    deflection: Floats  # of the motor that sticks [rad], shape (m,); `friction.SLIPS`, in its direction, if it slides
 
 
 class Estimate(NamedTuple):
@@ -47,6 +50,7 @@ class Estimate(NamedTuple):
 
     states: Floats  # x at the time at which a command given now acts, shape (m, 4)
     delay: Floats  # until then [samples], shape (m,)
+    direction: Floats  # friction mode then: -1 or 1 of a motor that slides, 0 of one that sticks, shape (m,)
     logs: Floats  # logarithm of each of IDENTIFIED over its nominal value, shape (m, 6)
     table: Floats  # constants, columns as `ArmParams`, shape (m, len(FIELDS))
 
@@ -54,14 +58,17 @@ class Estimate(NamedTuple):
 def empty_notes(count: int, size: int, more: int = 0) -> Notes:
     """Room for what is known of `count` arms of which z has `size` entries, and room for some more."""
     width = size + more
-    tracks = Tracks(np.zeros((count, width)), np.zeros((count, width, width)), np.zeros(count), np.zeros(count))
-    return Notes(tracks, np.zeros(count), np.zeros(count), np.zeros((count, HISTORY)))
+    filters = np.zeros((count, width)), np.zeros((count, width, width)), np.zeros(count), np.zeros(count)
+    tracks = Tracks(*filters, np.zeros(count, np.bool_), np.zeros((count, 2)))
+    return Notes(tracks, np.zeros(count), np.zeros(count), np.zeros((count, HISTORY)), np.zeros(count))
 
 
 def empty_estimate(count: int) -> Estimate:
     """Room for the estimates of `count` arms."""
     logs = LOGS.stop - LOGS.start
-    return Estimate(np.zeros((count, 4)), np.zeros(count), np.zeros((count, logs)), np.zeros((count, len(FIELDS))))
+    return Estimate(
+        np.zeros((count, 4)), np.zeros(count), np.zeros(count), np.zeros((count, logs)), np.zeros((count, len(FIELDS)))
+    )
 
 
 @compiled
@@ -82,10 +89,11 @@ def common_count(count: float, change: float) -> float:
 
 
 @compiled
-def _begin(design: Design, notes: Notes, arm: int, angle: float) -> None:
-    """Write what is known of an arm that begins an episode, at rest at a motor angle [rad]."""
+def _begin(design: Design, notes: Notes, arm: int, angle: float, holds: bool) -> None:
+    """Write what is known of an arm that begins an episode, at rest at a motor angle [rad], with a part or without."""
+    notes.tracks.holds[arm] = holds
     begin_track(design, notes.tracks, arm, angle, COARSEST)
-    notes.counts[arm], notes.angle[arm] = 0.0, angle
+    notes.counts[arm], notes.angle[arm], notes.deflection[arm] = 0.0, angle, 0.0
     for k in range(HISTORY):
         notes.commands[arm, k] = 0.0
 
@@ -95,7 +103,7 @@ def begin(design: Design, inputs: Inputs, notes: Notes) -> None:
     """Write what is known of all arms that begin an episode, and leave others as they are."""
     for arm in range(len(inputs.begins)):
         if inputs.begins[arm]:
-            _begin(design, notes, arm, inputs.angle[arm])
+            _begin(design, notes, arm, inputs.angle[arm], inputs.holds[arm])
 
 
 @compiled
@@ -126,12 +134,18 @@ def identify(design: Design, inputs: Inputs, notes: Notes, room: Room) -> None:
         room: Changed.
     """
     if _note(design, inputs, notes, room):
-        simulate(notes.tracks.mean, design.nominal, notes.commands, room.simulation, room.predicted)
+        rubs = design.nominal[COLUMN.coulomb_friction] > 0.0
+        simulate(notes.tracks.mean, design.nominal, notes.commands, notes.deflection, room.simulation, room.predicted)
         for arm in range(len(inputs.angle)):
-            correct(design, notes.tracks, arm, inputs, room)
+            sticks = bool(rubs and mode_of_giving(notes.deflection[arm]) == 0.0)
+            correct(design, notes.tracks, arm, inputs, sticks, room)
+            if sticks:
+                notes.deflection[arm] += notes.tracks.mean[arm, 0] - room.predicted[arm, 0, 0]
         begin(design, inputs, notes)  # arms that begin, whatever was made of them as of the others
         for arm in range(len(inputs.angle)):
             notes.angle[arm] = inputs.angle[arm]
+            if inputs.moves[arm] and not inputs.begins[arm] and (notes.tracks.holds[arm] or inputs.holds[arm]):
+                change_part(design, notes.tracks, arm, inputs.holds[arm])
 
 
 @compiled
@@ -147,7 +161,10 @@ def _copy_notes(old: Notes, new: Notes) -> None:
     count, size = old.tracks.mean.shape
     for arm in range(count):
         new.tracks.surprise[arm], new.tracks.noise_factor[arm] = old.tracks.surprise[arm], old.tracks.noise_factor[arm]
-        new.counts[arm], new.angle[arm] = old.counts[arm], old.angle[arm]
+        new.tracks.holds[arm] = old.tracks.holds[arm]
+        for i in range(2):
+            new.tracks.without_part[arm, i] = old.tracks.without_part[arm, i]
+        new.counts[arm], new.angle[arm], new.deflection[arm] = old.counts[arm], old.angle[arm], old.deflection[arm]
         for i in range(size):
             new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
             for j in range(size):
@@ -198,7 +215,7 @@ def estimate(design: Design, notes: Notes, room: Simulation, result: Estimate) -
         result: Written.
     """
     mean, most = notes.tracks.mean, 0
-    load(mean, design.nominal, room)
+    load(mean, design.nominal, notes.deflection, room)
     write_table(room.constants, result.table)
     for arm in range(len(mean)):
         result.delay[arm] = mean[arm, DELAY]
@@ -210,6 +227,9 @@ def estimate(design: Design, notes: Notes, room: Simulation, result: Estimate) -
     for k in range(most + 1):
         for i in range(4 * LANES):
             room.block[i] = room.loaded[i]
+        for arm in range(len(mean)):
+            if k == int(result.delay[arm]):
+                result.direction[arm] = mode_of_giving(room.loaded[at.DEFLECTION * LANES + arm])
         move_on(notes.commands, k + 1, room)
         for arm in range(len(mean)):
             whole = int(result.delay[arm])

@@ -137,12 +137,13 @@ def load_torques(block: Floats, arms: int, z: Floats, ripple: Floats, actions: F
 
 
 @compiled
-def load(beliefs: Floats, nominal: Floats, room: Simulation) -> None:
+def load(beliefs: Floats, nominal: Floats, deflections: Floats, room: Simulation) -> None:
     """Load arms as they are believed in, all but their commands.
 
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
+        deflections: Of their motors, see `Notes`, shape (arms,).
         room: Changed.
     """
     arms = len(beliefs)
@@ -151,6 +152,7 @@ def load(beliefs: Floats, nominal: Floats, room: Simulation) -> None:
     for lane in range(arms):
         room.loaded[at.DRIVEN * LANES + lane] = 1.0
         room.loaded[at.STEP * LANES + lane] = 0.0
+        room.loaded[at.DEFLECTION * LANES + lane] = deflections[lane]
         for i in range(4):
             room.loaded[(at.STATE + i) * LANES + lane] = room.z[i * LANES + lane]
     _load_coefficients(room.loaded, arms, room.constants)

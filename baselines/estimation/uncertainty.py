@@ -19,7 +19,7 @@ _FRICTION = LOGS.start + IDENTIFIED.index("motor_viscous_friction")  # the Coulo
 class Uncertainty:
     """Standard deviations: of the constants before anything is measured, their drift, and the process noise."""
 
-    swing: float = 0.3  # of ln S: most of it is the payload
+    swing: float = 0.3  # of ln S with a part in the gripper, when an episode begins: most of it is the part
     stiffness: float = 0.3  # of ln K_s
     motor_inertia: float = 0.06  # of ln M_a1
     friction: float = 0.2  # of ln V_a1 and ln tau_c
@@ -30,10 +30,12 @@ class Uncertainty:
     variation: float = 0.1  # of p and q
     excess: float = 0.14  # of s
     stiffening: float = 0.1  # of b
+    giving: float = 1.0  # of g
     ripple: float = 1e-3  # of s_n and c_n [N m]
     drift: float = 0.01  # growth of all but the ripple's [1/sqrt(s)]
     friction_drift: float = 0.06  # further growth of ln V_a1 and ln tau_c, which drift [1/sqrt(s)]
     torque: float = 3e-3  # at the motor, white [N m]
+    sticking: float = 4.0  # that of a motor that sticks and gives, over that of one that slides
     acceleration: float = 1.0  # torsional, white [rad/s^2]
     disturbance: float = 5e-4  # of d [N m]
     memory: float = 0.02  # time in which d decays [s]
@@ -42,7 +44,8 @@ class Uncertainty:
     def covariance(self) -> Floats:
         """Initial covariance of z, shape (SIZE, SIZE), at rest; without that of the angle, which is the encoder's."""
         constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
-        drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.disturbance]
+        drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.giving]
+        drive.append(self.disturbance)
         ripple = [self.ripple] * (2 * len(ORDERS))
         result = np.diag(np.square([0.0, 0.0, 1e-4, 1e-4, *constants, *drive, *ripple]))
         result[LOGS, LOGS] += self.torque_constant**2

@@ -95,7 +95,7 @@ class GuardedController:
         deterministic: bool = True,
     ) -> tuple[Singles, GuardedMemory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        begins = beginning(state, episode_start, len(observation))
+        begins = beginning(state, episode_start, observation)
         if state is None:
             nothing = np.zeros((len(begins), GUARD_SIZE))
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), nothing)

@@ -134,7 +134,7 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
     Args:
         design: What is constant.
         now: What could drive the motor, and what is measured.
-        begins: Whether an episode begins, when nothing in the memory counts.
+        begins: Whether a move begins, when nothing in the memory counts.
         memory: Of shape (GUARD_SIZE,), written.
     """
     last = now.last_command if finite(now.last_command) else 0.0
@@ -174,7 +174,7 @@ def guard_arms(design: GuardDesign, inputs: Floats, begins: Flags, memory: Float
     Args:
         design: Of all of them.
         inputs: Columns as `GuardInputs`, shape (n, 6).
-        begins: Which arms begin an episode, shape (n,).
+        begins: Which arms begin a move, shape (n,).
         memory: Shape (n, GUARD_SIZE), written.
         torques: The commands [N m], shape (n,), written.
     """

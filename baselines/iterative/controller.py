@@ -36,6 +36,7 @@ from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.physics.drive import DRIVE_COLUMNS
+from beltarm_env.physics.friction import SLIPS
 from beltarm_env.task.reference import sampled_moves
 
 _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
@@ -132,14 +133,20 @@ class IterativeController(AdaptiveController):
         return Lesson(first.move.copy(), prior.constants, prior.covariance[:, 4:, 4:].copy(), None)
 
     def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:
-        """States of the trial, shape (n, T, 4), estimated anew with the constants of the lesson."""
+        """States of the trial, shape (n, T, 4), estimated anew with the constants of the lesson.
+
+        A motor that sticks rests in them: what it gives on its spring, no torque is learnt from.
+        """
         everyone = np.ones(len(lesson.moves), np.bool_)
         belief = lesson.recalled(self._identifier.update(None, readings[0], everyone), everyone)
-        states = [belief.state]
+        states, slides = [belief.state], [~everyone]
         for reading in readings[1:]:
             belief = self._identifier.update(belief, reading, ~everyone)
             states.append(belief.state)
-        return np.stack(states, axis=1)
+            slides.append(np.abs(belief.deflection) >= SLIPS)
+        result = np.stack(states, axis=1)
+        result[:, :, 1] *= np.stack(slides, axis=1)
+        return result
 
     def _law(self, table: Floats, states: Floats, torques: Floats, moves: Floats) -> Law:
         """Law of the next trial, from constants (n, len(FIELDS)), and states (n, T, 4), torques (n, T) of the last."""

@@ -6,14 +6,14 @@ as in `baselines.optimal.preview`, with everything from `baselines.estimation.id
 after it is given, so plan and state are those of that time: x^ is predicted over the delay under the commands given
 before, and the loop that remains is the plan's own (O. J. M. Smith, Chem. Eng. Progress 53, 1957, for a plant that is
 simulated from an estimated state). d is ripple and whatever torque else the filter finds, tau_f the friction that it
-believes in, breakaway and its variation over the turn included. Its direction is that of the predicted speed. Below a
-small speed it is that of the torque asked for, over a ramp through zero: a torque too small to be meant does not make
-a motor at rest break away.
+believes in, breakaway and its variation over the turn included. Its direction is that in which the motor slides. Where
+it sticks, and gives by some milliradian before it slips, it is that of the torque asked for, over a ramp through zero:
+a torque too small to be meant does not make a motor at rest break away.
 
 tau_ff and x_ref are planned for the task's own cost first, and anew as the estimated constants change
 (`baselines.planning.replanning`). At an episode's start the arm is that of the design model: nothing is carried over
-from one episode to the next. The plan takes a belt that stiffens for one of its mean stiffness K_s, which it has at the
-torsion of a moderate move.
+from one episode to the next. From move to move of an episode the belief lasts, but for the part in the gripper. The
+plan takes a belt that stiffens for one of its mean stiffness K_s, which it has at the torsion of a moderate move.
 """
 
 from __future__ import annotations
@@ -55,7 +55,6 @@ class AdaptiveGains(Gains):
     acceleration_noise: float = tunable(0.5, 0.1, 10.0, log=True)  # [rad/s^2]  process noise of the torsion
     unexplained_torque: float = tunable(5e-4, 5e-5, 1e-2, log=True)  # [N m]      unexplained torque that decays
     friction_share: float = tunable(1.0, 0.5, 1.3)  # c  [-]     of the friction that is compensated
-    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
     rest_width: float = tunable(0.01, 1e-3, 0.1, log=True)  # [N m]      torque of the plan that is meant in full
 
     def uncertainty(self) -> Uncertainty:
@@ -75,18 +74,18 @@ class AdaptiveGains(Gains):
 
     def compensation(self) -> Compensation:
         """What of friction is compensated."""
-        return Compensation(self.friction_share, self.friction_speed, self.rest_width)
+        return Compensation(self.friction_share, self.rest_width)
 
-    def compensated(self, friction: Floats, motor_speed: Floats, torque: Floats) -> Floats:
+    def compensated(self, friction: Floats, direction: Floats, torque: Floats) -> Floats:
         """Compute the torques c tau_f dir [N m] that overcome friction, for n motors.
 
         Args:
             friction: Of each while it slides forward [N m].
-            motor_speed: [rad/s]
+            direction: In which it slides, -1 or 1; 0 where it sticks.
             torque: Asked of the motors beside that [N m].
         """
         result = np.empty(len(torque))
-        write_compensations(self.compensation(), friction, motor_speed, torque, result)
+        write_compensations(self.compensation(), friction, direction, torque, result)
         return result
 
 
@@ -107,6 +106,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         uncertainty: What the identification doubts; by default what the gains say.
         improvements: Steps by which the first plan is improved for the task's own cost; 0 leaves it to the squares.
     """
+
+    remembers = True
 
     def __init__(
         self,
@@ -156,7 +157,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         time, torques = reading.step + found.delay, np.empty(len(begins))
         now = Situation(reading.move, reading.step, time, found.states, found.logs, found.table)
         cache = memory.cache if memory else PlanCache.empty(now.logs)
-        cache = cache.begun(begins, now, self._weights, self._improvements)
+        cache = cache.begun(begins | (reading.step == 0), now, self._weights, self._improvements)
         write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
         return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 

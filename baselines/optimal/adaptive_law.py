@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
-from baselines.estimation.filter_design import Design, Inputs, Room, inputs_of, room_for
+from baselines.estimation.filter_design import Design, Inputs, Room, empty_inputs, room_for, write_inputs
 from baselines.estimation.identify import (
     Estimate,
     Notes,
@@ -39,34 +39,31 @@ class Compensation(NamedTuple):
     """How friction is compensated."""
 
     share: float  # c
-    speed: float  # of the motor, below which the plan decides on the direction [rad/s]
     width: float  # torque of the plan that is meant in full [N m]
 
 
 @inlined
-def compensated(of: Compensation, friction: float, speed: float, torque: float) -> float:
+def compensated(of: Compensation, friction: float, direction: float, torque: float) -> float:
     """Compute the torque c tau_f dir [N m] that overcomes friction.
 
     Args:
         of: What is compensated.
         friction: Of a motor that slides forward [N m].
-        speed: Of the motor [rad/s].
+        direction: In which it slides, -1 or 1; 0 where it sticks, and the torque decides.
         torque: Asked of it beside that [N m].
     """
-    asked = min(max(torque / of.width, -1.0), 1.0)
-    direction = (1.0 if speed > 0.0 else -1.0) if abs(speed) > of.speed else asked
-    return of.share * friction * direction
+    return of.share * friction * (direction if direction != 0.0 else min(max(torque / of.width, -1.0), 1.0))
 
 
 @compiled
-def write_compensations(of: Compensation, friction: Floats, speed: Floats, torque: Floats, result: Floats) -> None:
+def write_compensations(of: Compensation, friction: Floats, direction: Floats, torque: Floats, result: Floats) -> None:
     """Write what `compensated` says of n motors; arrays of shape (n,)."""
     for arm in range(len(torque)):
-        result[arm] = compensated(of, friction[arm], speed[arm], torque[arm])
+        result[arm] = compensated(of, friction[arm], direction[arm], torque[arm])
 
 
 @inlined
-def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state: Floats) -> float:
+def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state: Floats, direction: float) -> float:
     """Add to the torque of a plan [N m] what friction, ripple and d take.
 
     Args:
@@ -75,9 +72,10 @@ def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state
         row: Constants of the arm, shape (len(FIELDS),).
         z: Of the arm, shape (SIZE,) or (ACCELEROMETER_SIZE,).
         state: x at the time at which the torque acts, shape (4,).
+        direction: Friction mode then.
     """
     friction, _ = sliding_torque(row, state)
-    return planned + compensated(of, friction, state[1], planned) - other_torque(z, state[0], state[1])
+    return planned + compensated(of, friction, direction, planned) - other_torque(z, state[0], state[1])
 
 
 @compiled
@@ -98,7 +96,7 @@ def write_motor_torques(
         _, share = step_of_plan(time[arm])
         state = found.states[arm]
         planned = torque_between(pairs[arm, 0], pairs[arm, 1], share, state, 0.0)  # the gain does not weigh its change
-        torques[arm] = motor_torque(of, planned, found.table[arm], mean[arm], state)
+        torques[arm] = motor_torque(of, planned, found.table[arm], mean[arm], state, found.direction[arm])
 
 
 class AdaptiveDesign(NamedTuple):
@@ -136,7 +134,7 @@ def arm_memory() -> ArmMemory:
         no_cost(5),
         np.zeros(len(FIELDS)),
         np.zeros(1, np.intp),
-        inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_)),
+        empty_inputs(),
         found,
         room_for(1),
         plan_room(),
@@ -145,13 +143,12 @@ def arm_memory() -> ArmMemory:
 
 @compiled
 def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> None:
-    """Identify the arm; where an episode begins, plan its move, which takes much longer than a sample."""
-    memory.inputs.angle[0], memory.inputs.command[0] = now.motor_angle, now.last_command
-    memory.inputs.begins[0] = begins
+    """Identify the arm; where a move begins, plan it, which takes much longer than a sample."""
+    write_inputs(now, begins, memory.inputs)
     found = memory.found
     identify(design.filter, memory.inputs, memory.notes, memory.identification)
     estimate(design.filter, memory.notes, memory.identification.simulation, found)
-    if begins:
+    if begins or now.step == 0:
         time, row, state = now.step + found.delay[0], found.table[0], found.states[0]
         plan_task(move_of(now), row, design.cost, time, state, design.improvements, memory.planning, memory.plan)
         memory.left[0] = 0
@@ -164,7 +161,8 @@ def torque(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> float:
     """Torque [N m] by the plan, once `begun` has been there."""
     found = memory.found
     planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
-    return motor_torque(design.compensation, planned, found.table[0], memory.notes.tracks.mean[0], found.states[0])
+    z, direction = memory.notes.tracks.mean[0], found.direction[0]
+    return motor_torque(design.compensation, planned, found.table[0], z, found.states[0], direction)
 
 
 @compiled

@@ -1,9 +1,9 @@
 """Privileged preview LQG: a yardstick with true constants and true state, never ranked among the controllers.
 
 The law of `baselines.optimal.adaptive` without an identification: the plan for the task's own cost is that of the true
-arm, friction over the turn and torque ripple are the true ones, and the arm's state is read from the environment's full
-observation (motor angle and speed by the encoder, torsion exactly). The motor's torque and the commands under way
-follow from what was commanded, and the state when the command acts is simulated on the true arm.
+arm, friction over the turn and torque ripple are the true ones. The state is simulated on the true arm from what was
+commanded; the environment's full observation corrects it (motor angle and speed by the encoder where its rounding does
+not explain the difference, torsion exactly).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.controller import ClassicalController
+from baselines.estimation.observer import QUANTUM
 from baselines.gains import tuned
 from baselines.models.actuator import dead_time
 from baselines.models.friction import sliding_torques
@@ -22,8 +23,9 @@ from baselines.planning.plan import planned_torque
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import params_table
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arm import COLUMN, params_table
+from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.physics.friction import SLIPS
 from beltarm_env.simulation import ArmSimulation, X
 
 
@@ -33,13 +35,15 @@ class PrivilegedMemory:
 
     cache: PlanCache
     arms: Floats  # states of arms and drives, as `ArmSimulation` has them
+    number: Integers  # of each arm's move in its episode, shape (n,)
 
 
 class PrivilegedController(ClassicalController[PrivilegedMemory]):
     """Preview LQG that knows its arms, on observations with `sensors="full"`.
 
     Args:
-        arms: The true constants, one for each row of the observations, with one gear ratio and torque limit.
+        *arms: The true constants in each move of an episode, one for each row of the observations, with one gear ratio
+            and torque limit. The last ones hold in all further moves.
         gains: Those of `adaptive`: its tuned ones if not given, so that what not knowing the arm costs is seen.
 
     Raises:
@@ -48,12 +52,12 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
 
     sensors = "full"
 
-    def __init__(self, arms: Sequence[ArmParams], gains: AdaptiveGains | None = None) -> None:
-        super().__init__(arms[0])
+    def __init__(self, *arms: Sequence[ArmParams], gains: AdaptiveGains | None = None) -> None:
+        super().__init__(arms[0][0])
         self.gains = gains or tuned("adaptive", AdaptiveGains)
-        self._table = params_table(arms)
-        self._delays = np.array([dead_time(arm) for arm in arms]) / CONTROL_PERIOD
-        self._simulation = ArmSimulation(arms)
+        self._tables = np.array([params_table(in_move) for in_move in arms])
+        self._delays = np.array([dead_time(arm) for arm in arms[0]]) / CONTROL_PERIOD
+        self._table, self._simulation = self._tables[0], ArmSimulation(arms[0])
 
     def law(self, reading: Reading, begins: Flags, memory: PrivilegedMemory | None) -> tuple[Floats, PrivilegedMemory]:
         """Torque [N m] of one sample, see `ClassicalController`.
@@ -63,16 +67,40 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         """
         if len(begins) != len(self._table):
             raise ValueError(f"this yardstick knows {len(self._table)} arms, got observations of {len(begins)}")
-        assert reading.torsion is not None, "decoded with the torsion, see `sensors`"
-        command = np.where(begins, 0.0, reading.last_command)
+        number = np.zeros(len(begins), np.intp) if memory is None else memory.number + begins
+        number = np.minimum(number, len(self._tables) - 1)
+        rests = begins & (number == 0)
+        command = np.where(rests, 0.0, reading.last_command)
         arms = self._simulation.at_rest(reading.motor_angle)
         if memory is not None:
-            arms = np.where(begins[:, None], arms, self._simulation.advance(memory.arms, command))
-        arms[:, :X] = np.column_stack([reading.motor_angle, reading.motor_speed, reading.torsion])
+            arms = np.where(rests[:, None], arms, self._simulation.advance(memory.arms, command))
+        self._know(number)
+        self._correct(arms, reading)
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
         now = Situation(reading.move, reading.step, time, ahead, constant, self._table)
         cache = (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, self.gains.weights())
         torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
         friction, ripple = sliding_torques(self._table, ahead)
-        return torque + self.gains.compensated(friction, ahead[:, 1], torque) - ripple, PrivilegedMemory(cache, arms)
+        gives = self._table[:, COLUMN.presliding_deflection] > 0
+        slides = np.where(gives, np.abs(arms[:, -1]) >= SLIPS, arms[:, 1] != 0)
+        torque += self.gains.compensated(friction, np.where(slides, np.sign(arms[:, 1]), 0.0), torque) - ripple
+        return torque, PrivilegedMemory(cache, arms, number)
+
+    @staticmethod
+    def _correct(arms: Floats, reading: Reading) -> None:
+        """Bring simulated states, shape (n, size), to what is measured beyond the rounding of the encoder.
+
+        Within a count the simulation of the true arm is the better one: a motor gives by as little before it slips.
+        """
+        assert reading.torsion is not None, "decoded with the torsion, see `sensors`"
+        off = np.abs(reading.motor_angle - arms[:, 0]) > QUANTUM
+        arms[:, 2:X] = reading.torsion
+        arms[off, 0], arms[off, 1] = reading.motor_angle[off], reading.motor_speed[off]
+
+    def _know(self, number: Integers) -> None:
+        """Know the arms as they are in their moves of these numbers."""
+        table = self._tables[number, np.arange(len(number))]
+        if not np.array_equal(table, self._table):
+            self._table = table
+            self._simulation.set_table(table)

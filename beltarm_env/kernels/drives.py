@@ -18,7 +18,7 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS, LATENCY_SAMPLES, S
 
 @inlined
 def begin_drive(block: Floats, lane: int, row: Any) -> None:
-    """Put an arm's drive into its lane, with a motor without torque, from a row of constants, shape (len(FIELDS),)."""
+    """Put an arm's drive into its lane, from a row of constants, shape (len(FIELDS),); its motor's torque stays."""
     store_drive(block, lane, drive_of(row))
     effect = 0.0
     for k in range(len(DRIVE_COLUMNS)):
@@ -47,7 +47,7 @@ def begin_lag(block: Floats, lane: int, lag: float, latency: float) -> None:
 
 @inlined
 def begin_friction(block: Floats, lane: int, row: Any) -> None:
-    """Put friction at the beginning and its drift, and the torque constant, into a lane."""
+    """Put friction at the move's beginning and its drift, and the torque constant, into a lane."""
     block[at.GAIN * LANES + lane] = 1 + row[COLUMN.torque_constant_error]
     block[at.VISCOUS * LANES + lane] = row[COLUMN.motor_viscous_friction]
     block[at.COULOMB * LANES + lane] = row[COLUMN.coulomb_friction]

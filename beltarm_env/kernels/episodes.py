@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from beltarm_env.arm import plant_of
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.drives import begin_drive
 from beltarm_env.kernels.layout import (
     LANES,
     Driven,
@@ -18,16 +17,15 @@ from beltarm_env.kernels.layout import (
     load_move,
     load_plant,
     load_state,
-    store_plant,
     store_state,
 )
+from beltarm_env.kernels.moves import begin_move
 from beltarm_env.kernels.sense import begin_sensing
 from beltarm_env.physics.drive import drive_of, resting
 from beltarm_env.physics.friction import begun_deflection
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
-from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.draws import DRAWS, END_OF_MOVE, FIRST_OF_MOVE, FIRST_OF_SENSORS
 from beltarm_env.task.moves import draw_moves
@@ -51,6 +49,7 @@ def begin_episodes(
     delays: Floats,
     draws: Floats,
     built: Flags,
+    num_moves: int,
     model: Model,
 ) -> int:
     """Begin a new episode in n arms, and return by how many there are more with a drive as it is built.
@@ -59,12 +58,13 @@ def begin_episodes(
         blocks: The arms, as `layout` describes.
         arms: Which ones, shape (n,).
         table: Their parameters, shape (n, len(FIELDS)).
-        moves: Their moves, shape (n, 4).
+        moves: Their first moves, shape (n, 4).
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
         draws: Uniform random numbers of the episodes, shape (n, DRAWS).
         built: Which of all arms have a drive as it is built, shape (N,); changed.
+        num_moves: Moves of the episodes.
         model: Whose equations of motion.
     """
     more = 0
@@ -77,15 +77,12 @@ def begin_episodes(
         if x.motor_angle != x.motor_angle:
             x = resting(moves[i, 0] * plant.gear, plant, drive_of(table[i]))
         store_state(block, at.STATE, j, x)
-        for k in range(4):
-            block[(at.MOVE + k) * LANES + j] = moves[i, k]
-        store_plant(block, j, plant)
-        begin_drive(block, j, table[i])
+        now = begin_move(block, j, moves[i], table[i], model)
+        block[at.MOVES_LEFT * LANES + j] = num_moves - 1.0
+        block[at.FRICTION_LEVEL * LANES + j] = 1.0
         block[at.DEFLECTION * LANES + j] = begun_deflection(x.motor_speed, drive_of(table[i]))
         of_sensors, delay = draws[i, FIRST_OF_SENSORS:], float(delays[arms[i]])
         begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, delay, of_sensors)
-        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
-        now = block[at.DRIVEN * LANES + j] != 0.0
         more += int(now) - int(built[arms[i]])
         built[arms[i]] = now
     return more
@@ -101,6 +98,7 @@ def restart_episodes(
     resolution: float,
     delays: Floats,
     built: Flags,
+    num_moves: int,
     profile: int,
     model: Model,
 ) -> int:
@@ -115,6 +113,7 @@ def restart_episodes(
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
         built: Which of all arms have a drive as it is built, shape (N,); changed.
+        num_moves: Moves of the episodes.
         profile: Index into `reference.PROFILES`.
         model: Whose equations of motion.
     """
@@ -125,18 +124,21 @@ def restart_episodes(
     for i in range(count):
         table[arms[i]] = drawn[i]
     moves = draw_moves(profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
-    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, built, model)
+    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, built, num_moves, model)
 
 
 @inlined
 def totals_so_far(block: Floats, j: int, terminated: bool) -> tuple[float, float, float, float, float, float, float]:
     """Sum up the episode of one lane until now, see `episode_totals`."""
-    steps = float(block[at.STEP * LANES + j])
-    position, velocity = float(block[at.TOTALS * LANES + j]), float(block[(at.TOTALS + 1) * LANES + j])
-    torque_rate = float(block[(at.TOTALS + 2) * LANES + j])
-    cost = ((MAX_COST * (EPISODE_STEPS - steps) if terminated else 0.0) + position + velocity) + torque_rate
-    rms = math.sqrt(block[(at.TOTALS + 3) * LANES + j] / steps)
-    return cost, position, velocity, torque_rate, steps, rms, float(block[(at.TOTALS + 4) * LANES + j])
+    steps = float(block[at.EARLIER * LANES + j] + block[at.STEP * LANES + j])
+    now, before = at.TOTALS * LANES + j, at.EARLIER_TOTALS * LANES + j
+    position, velocity = float(block[before] + block[now]), float(block[before + LANES] + block[now + LANES])
+    torque_rate = float(block[before + 2 * LANES] + block[now + 2 * LANES])
+    left = EPISODE_STEPS * (block[at.MOVES_LEFT * LANES + j] + 1) - block[at.STEP * LANES + j]
+    charge = MAX_COST * left if terminated else 0.0
+    rms = math.sqrt((block[before + 3 * LANES] + block[now + 3 * LANES]) / steps)
+    largest = max(float(block[before + 4 * LANES]), float(block[now + 4 * LANES]))
+    return (charge + position + velocity) + torque_rate, position, velocity, torque_rate, steps, rms, largest
 
 
 @compiled

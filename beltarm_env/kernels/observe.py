@@ -22,11 +22,12 @@ _REFERENCE = index("reference_angle")
 _AHEAD = index("reference_acceleration") + 1
 _MOVE = index("start")
 _LAST_COMMAND = index("last_command")
+_HOLDS_PART = index("holds_part")
 
 
 @inlined
 def _put_common_entries(block: Floats, tile: Singles, lane: int, profile: int) -> None:
-    """Put what all sensor tiers observe of an arm, but for the last command.
+    """Put what all sensor tiers observe of an arm, but for the last command and the gripper.
 
     In the order of `observation.ENTRIES`: the compiler stores a group at once only if nothing else is stored between.
     """
@@ -68,9 +69,10 @@ def _put_common_entries(block: Floats, tile: Singles, lane: int, profile: int) -
 
 @inlined
 def _put_last_entries(block: Floats, tile: Singles, count: int, tier: int, driven: Driven) -> None:
-    """Put what does not fill a group of the tile: the last command, and what one sensor tier observes."""
+    """Put what does not fill a group of the tile: the last command, the gripper, and what one sensor tier observes."""
     for j in range(count):
         put(tile, j, _LAST_COMMAND, block[at.ACTION * LANES + j])
+        put(tile, j, _HOLDS_PART, block[at.HOLDS_PART * LANES + j])
     put_tier_entries(block, tile, count, tier, driven)
 
 

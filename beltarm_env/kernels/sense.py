@@ -133,7 +133,8 @@ def _read_sensors(block: Floats, count: int, tier: int, driven: Driven) -> None:
             tip = tip_motion(load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, driven))
             _move_tip(block, j, tip)
         for j in range(count):
-            _add_errors(block, j, block[at.STEP * LANES + j] + (at.MAX_DELAY + 1.0))
+            sample = block[at.EARLIER * LANES + j] + block[at.STEP * LANES + j]
+            _add_errors(block, j, sample + (at.MAX_DELAY + 1.0))
 
 
 @inlined

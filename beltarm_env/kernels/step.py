@@ -29,7 +29,7 @@ from beltarm_env.kernels.sense import sense_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.physics.kinematics import outside_workspace, tip_motion
 from beltarm_env.physics.models import Model
-from beltarm_env.task.cost import MAX_COST, step_cost
+from beltarm_env.task.cost import MAX_COST, STILL_BAND, StepCost, step_cost
 from beltarm_env.task.reference import TRAPEZOID, reference_at
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
@@ -55,8 +55,19 @@ def new_scratch(threads: int, lanes: int = LANES) -> tuple[Floats, Singles]:
 
 
 @inlined
+def _note_rest(block: Floats, j: int, cost: StepCost, step: float) -> None:
+    """Note how far the tip swings after the move's end, and the last step after which it was not still."""
+    after = step * CONTROL_PERIOD >= block[(at.MOVE + 2) * LANES + j]
+    for k, error in enumerate((cost.x, -cost.x, cost.y, -cost.y)):
+        most = block[(at.SWINGS + k) * LANES + j]
+        block[(at.SWINGS + k) * LANES + j] = error if after & (error > most) else most
+    last = block[at.UNSTILL * LANES + j]
+    block[at.UNSTILL * LANES + j] = step if cost.tip_error > STILL_BAND else last
+
+
+@inlined
 def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
-    """Charge the cost of the step, add to the episode's totals, and find whether it is over."""
+    """Charge the cost of the step, add to the move's totals, and find whether it is over."""
     for j in range(count):
         x = load_state(block, at.STATE, j)
         plant = load_plant(block, j)
@@ -77,11 +88,25 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, dr
         block[(at.TOTALS + 3) * LANES + j] += cost.tip_error * cost.tip_error
         largest = block[(at.TOTALS + 4) * LANES + j]
         block[(at.TOTALS + 4) * LANES + j] = cost.tip_error if cost.tip_error > largest else largest
+        _note_rest(block, j, cost, step)
         outside = outside_workspace(x, plant)
         remaining = EPISODE_STEPS - step if outside else 0.0
         scratch[REWARD * LANES + j] = -(cost.position + cost.velocity + cost.torque_rate + MAX_COST * remaining)
         scratch[TERMINATED * LANES + j] = 1.0 if outside else 0.0
         scratch[TRUNCATED * LANES + j] = 1.0 if step >= EPISODE_STEPS else 0.0
+
+
+@inlined
+def _consider_further_moves(block: Floats, scratch: Floats, count: int) -> None:
+    """Charge arms that left their workspace for further moves, too; others go on where there are some.
+
+    In a loop of its own, for few steps end a move: the loop over all arms is quicker without the moves that are left.
+    """
+    for j in range(count):
+        left = block[at.MOVES_LEFT * LANES + j]
+        further = MAX_COST * EPISODE_STEPS * left if scratch[TERMINATED * LANES + j] != 0.0 else 0.0
+        scratch[REWARD * LANES + j] -= further
+        scratch[TRUNCATED * LANES + j] = 0.0 if left > 0.0 else scratch[TRUNCATED * LANES + j]
 
 
 @compiled
@@ -99,6 +124,11 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Dri
         _charge_profile(block, scratch, count, TRAPEZOID, driven)
     else:
         _charge_profile(block, scratch, count, profile, driven)
+    ended = 0
+    for j in range(count):
+        ended += 1 if scratch[TERMINATED * LANES + j] + scratch[TRUNCATED * LANES + j] > 0.0 else 0
+    if ended > 0:
+        _consider_further_moves(block, scratch, count)
 
 
 @compiled

@@ -49,6 +49,13 @@ class MuJoCoArm:
         self._actuator = Actuator(self.params)
         self._samples = 0
 
+    def changed(self, params: ArmParams) -> MuJoCoArm:
+        """Make the arm with other constants, in the same state, with the same commands on their way."""
+        arm = MuJoCoArm(params)
+        arm.begin(read_state(self._data, self.params))
+        arm._actuator = self._actuator
+        return arm
+
     def advance(self, command: float) -> Floats:
         """Let one control period pass after a new command [N m]; return x at its end.
 
@@ -80,13 +87,19 @@ class MuJoCoArms:
         """
         check_expressible(table)
 
-    def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
-        """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
-        for arm, row, state in zip(arms.tolist(), table, states, strict=True):
+    def begin(self, arms: Integers, table: Floats, states: Floats | None) -> None:
+        """Begin new episodes for arms with parameters (n, fields) from states (n, 4).
+
+        Without states further moves begin: the arms get other constants, and all else goes on.
+        """
+        for k, (arm, row) in enumerate(zip(arms.tolist(), table, strict=True)):
             params = ArmParams.from_row(row)
+            if states is None:
+                self._arms[arm] = self._arms[arm].changed(params)
+                continue
             if arm not in self._arms or params != self._arms[arm].params:
                 self._arms[arm] = MuJoCoArm(params)
-            self._arms[arm].begin(state)
+            self._arms[arm].begin(states[k])
 
     def advance(self, actions: Floats) -> Floats:
         """Give torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""

@@ -45,7 +45,7 @@ class MuJoCoRenderer:
             params: Constants of the arm.
             state: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s).
             reference_angle: Reference joint angle [rad].
-            time: Time since the episode's start [s].
+            time: Time since the move's start [s].
 
         Returns:
             A new frame of shape (480, 640, 3) for "rgb_array", None for "human".

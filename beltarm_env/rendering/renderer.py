@@ -66,7 +66,7 @@ class Renderer:
             params: Constants of the arm.
             state: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s).
             reference_angle: Reference joint angle [rad].
-            time: Time since the episode's start [s]; the trace forgets what lies after it.
+            time: Time since the move's start [s]; the trace forgets what lies after it.
 
         Returns:
             A new frame of shape (480, 640, 3) for "rgb_array", None for "human".

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
 from beltarm_env.physics.kinematics import TipMotion, tip_error
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 POSITION_SCALE = 0.010  # [m]
 VELOCITY_SCALE = 0.200  # [m/s]
@@ -23,13 +24,19 @@ TORQUE_RATE_WEIGHT = 0.1
 MAX_COST = 2 * MAX_TERM + 2 * TORQUE_RATE_WEIGHT  # torque can change by twice its limit
 
 
+STILL_BAND = 0.0005
+"""Distance of the tip from its reference within which the arm is still [m]."""
+
+
 class StepCost(NamedTuple):
-    """Tip error [m], at most `LARGEST_ERROR`, and the three terms of the cost."""
+    """Tip error [m], at most `LARGEST_ERROR`, and the three terms of the cost; the error's components [m]."""
 
     tip_error: float
     position: float
     velocity: float
     torque_rate: float
+    x: float
+    y: float
 
 
 @inlined
@@ -54,4 +61,17 @@ def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_ac
         position if position < MAX_TERM else MAX_TERM,
         velocity if velocity < MAX_TERM else MAX_TERM,
         TORQUE_RATE_WEIGHT * abs(action - last_action),
+        off.x,
+        off.y,
     )
+
+
+@inlined
+def still_time(last: float, duration: float) -> float:
+    """Return the time from a move's end until the arm is still [s]; all that is left of the move if it never is.
+
+    Args:
+        last: Number of steps after which the tip error was beyond `STILL_BAND` for the last time; 0 if it never was.
+        duration: Of the move [s].
+    """
+    return max(min(last + 1, EPISODE_STEPS) * CONTROL_PERIOD - duration, 0.0)

@@ -58,6 +58,9 @@ DRIVE_RANGES: Ranges = {
 }
 """Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/science/physics.md."""
 
+PART_MASS = (0.05, 0.5)
+"""Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""
+
 PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
 """Range of a motor that gives before it slips; beside `TRAIN_RANGES`, of which shipped policies were trained."""
 

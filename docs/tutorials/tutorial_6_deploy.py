@@ -35,7 +35,8 @@ print(header[header.index("/* Set up") : header.rindex("#ifdef")])
 # --------------------
 # ``InTheLoop`` compiles the folder with this machine's C compiler and starts the program. It is a
 # controller like any other, so ``rollout`` runs it. From each observation it takes the encoder's count
-# and sends it over a pipe; the program answers with a torque.
+# and sends it over a pipe, and at a move's start whether the gripper holds a part; the program answers with a
+# torque.
 
 from beltarm_env.rollout import rollout
 from eval.comparison.sets import development_set

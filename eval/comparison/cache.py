@@ -33,7 +33,7 @@ from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import METRICS
-from beltarm_env.rollout import Controller, nominal_params, rollout
+from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
 from beltarm_env.sources import sources_digest
 from eval.comparison.carrying import Carried
 from eval.comparison.methods import LARGEST_BATCH, Method
@@ -68,8 +68,9 @@ class Part:
 
     @property
     def runs(self) -> int:
-        """Number of episodes that are simulated."""
-        return len(self.method.sources) * self.count * (2 if self.perturbed else 1)
+        """Number of moves that are simulated."""
+        moves = len(self.split.tables)
+        return len(self.method.sources) * self.count * moves * (2 if self.perturbed else 1)
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
@@ -116,20 +117,35 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
     method, counts = parts[0].method, [part.count for part in parts]
     scenarios, count = side_by_side([(part.split, slice(part.count)) for part in parts]), sum(counts)
     metrics = {name: np.empty((len(method.sources), count)) for name in parts[0].tables}
+    arms = scenarios.arms(slice(count)) if method.kind == "privileged" else []
     for seeds in method.batches(count):
         rows = np.tile(np.arange(count), len(seeds))
-        arms, arguments = scenarios.arms(count), scenarios.arguments(rows)
-        run = rollout(method.controllers(seeds, arms), len(rows), sensors=method.sensors, **arguments)
-        tables = {**run.metrics(), LEFT: 1.0 - run.finished}
+        arguments = scenarios.arguments(rows)
+        run = rollout(method.controllers(seeds, *arms), len(rows), sensors=method.sensors, **arguments)
+        _require_these_arms(run, scenarios, rows)
+        tables = {name: over_moves(values, run.num_moves) for name, values in run.metrics().items()}
+        tables[LEFT] = np.where(run.of_move(run.num_moves - 1).finished, 0.0, 1.0)
         if parts[0].perturbed:
-            again = Perturbed(method.controllers(seeds, arms))
+            again = Perturbed(method.controllers(seeds, *arms))
             cost = rollout(again, len(rows), sensors=method.sensors, **arguments).cost
-            tables[SENSITIVE] = sensitive(run.cost, cost)
+            tables[SENSITIVE] = sensitive(tables["cost"], over_moves(cost, run.num_moves))
         for name, values in tables.items():
             metrics[name][seeds] = values.reshape(len(seeds), count)
     ends = np.cumsum(counts)[:-1]
     pieces = {name: np.split(table, ends, axis=1) for name, table in metrics.items()}
     return [{name: piece[k].copy() for name, piece in pieces.items()} for k in range(len(parts))]
+
+
+def over_moves(values: Floats, num_moves: int) -> Floats:
+    """Average a metric over the moves of each scenario: shape (n,), from that of a `Recording`, (moves * n,)."""
+    return values.reshape(num_moves, -1).mean(axis=0, dtype=np.float64)
+
+
+def _require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:
+    """Check that a run had the arms and moves of its scenarios, which it drew on the way if they are shifts."""
+    wanted = scenarios.tables[:, rows].reshape(run.params.shape), scenarios.all_moves[:, rows].reshape(run.moves.shape)
+    if not (np.array_equal(run.params, wanted[0]) and np.array_equal(run.moves, wanted[1])):
+        raise ValueError(f"the arms that were run are not those of the scenarios of {scenarios.of or 'this split'}")
 
 
 def read_kept(part: Part, folder: Path) -> Metrics | None:

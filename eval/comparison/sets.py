@@ -54,7 +54,7 @@ from eval.comparison.splits import (
 )
 
 DEVELOPMENT_NAME, TEST_NAME = "development", "test"
-MOST = 10_000_000
+MOST = 3_000_000
 """Scenarios of a split of a fresh set, with all further ones."""
 
 
@@ -210,12 +210,16 @@ class _Probe:
 
 
 def motions(splits: Sequence[Split]) -> list[list[list[float]]]:
-    """Last state, cost and RMS tip error of each split's first scenarios under a fixed simple controller."""
+    """Last state, cost and RMS tip error of each split's first scenarios under a fixed simple controller.
+
+    Of shifts those of the last move.
+    """
     by_place: dict[int, list[list[float]]] = {}
     for group in beside_one_another(splits):
         together = side_by_side([(splits[k], slice(_CHECKED)) for k in group])
         run = rollout(_Probe(), len(together.table), **together.arguments(slice(None)))
-        rows = np.column_stack([run.state[-1], run.cost, run.metrics()["tip_rms_mm"]])
+        last = run.of_move(run.num_moves - 1)
+        rows = np.column_stack([last.state[-1], last.cost, last.metrics()["tip_rms_mm"]])
         by_place |= zip(group, rows.reshape(len(group), _CHECKED, -1).tolist(), strict=True)
     return [by_place[k] for k in range(len(splits))]
 
@@ -228,7 +232,7 @@ def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
             "description": SPLITS[split.name].description,
             "seed": split.seed,
             "settings": split.settings,
-            "columns": _columns(split),
+            **_drawn(split),
             "motions": moved,
             "sha256": split.digest,
         }
@@ -239,11 +243,16 @@ def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
     return {**content, "sha256": digest_of(content)}
 
 
-def _columns(split: Split) -> dict[str, list[float]]:
-    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
+def _drawn(split: Split) -> dict[str, Any]:
+    """Columns of a split by name, without the constants that are nominal in all its scenarios.
+
+    Of shifts only their number: they are drawn again from their seeds, as the environment does on the way.
+    """
+    if len(split.tables) > 1:
+        return {"count": len(split.seeds)}
     constants = {k: v for k, v in params_columns(split.table).items() if np.any(v != getattr(NOMINAL, k))}
     columns = {**constants, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
-    return {name: values.tolist() for name, values in columns.items()}
+    return {"columns": {name: values.tolist() for name, values in columns.items()}}
 
 
 def text_of(content: dict[str, Any]) -> str:
@@ -299,13 +308,25 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _split_of(name: str, entry: dict[str, Any]) -> Split:
-    columns = {key: _numbers(key, values) for key, values in entry["columns"].items()}
-    moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
-    table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
-    split = make_split(name, TEST_NAME, entry["seed"], entry["settings"], table, moves, columns["delay"])
+    split = _split_drawn(name, entry) if "count" in entry else _split_kept(name, entry)
     if split.digest != entry["sha256"]:
         raise ValueError(f"the SHA-256 of {name} does not match")
     return split
+
+
+def _split_drawn(name: str, entry: dict[str, Any]) -> Split:
+    count = entry["count"]
+    if type(count) is not int or not 0 < count <= EPISODES:
+        raise ValueError(f"the number of scenarios of {name} is {count!r}")
+    return draw_arms(name, TEST_NAME, range(entry["seed"], entry["seed"] + count))
+
+
+def _split_kept(name: str, entry: dict[str, Any]) -> Split:
+    columns = {key: _numbers(key, values) for key, values in entry["columns"].items()}
+    moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
+    table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
+    seeds = entry["seed"] + np.arange(len(moves))
+    return make_split(name, TEST_NAME, seeds, entry["settings"], table[None], moves[None], columns["delay"])
 
 
 def _numbers(key: str, values: list[Any]) -> NDArray[np.float64]:

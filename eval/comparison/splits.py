@@ -1,8 +1,8 @@
 """Splits: kinds of arms that the comparison asks about, and how their scenarios are drawn.
 
-A scenario is one arm with one move and its sensors. Arm i of a split is what the environment draws from seed + i with
-the split's ranges. Every split has seeds of its own, so that no two have an arm or a move in common. Each but `nominal`
-and `ideal` is `randomized` with one thing shifted beyond what tuning and training see.
+A scenario is one arm with its sensors and one move, or a shift of several. Arm i of a split is what the environment
+draws from seed + i with the split's ranges. Every split has seeds of its own, so that no two have an arm or a move in
+common. Each but `nominal` and `ideal` is `randomized` or `shift` with one thing beyond what tuning and training see.
 """
 
 from __future__ import annotations
@@ -16,12 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env import ArmParams, BeltArmVectorEnv
+from beltarm_env import ArmParams
 from beltarm_env.arm import NOMINAL, params_columns
+from beltarm_env.batch import ArmBatch
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS
-from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, Ranges
+from beltarm_env.task.ranges import IDEAL_RANGES, PRESLIDING, TRAIN_RANGES, Ranges
 from beltarm_env.task.seeds import SeedRange
+from beltarm_env.task.sensors import ENCODER_COUNTS
+from beltarm_env.task.shift import PART_MASS
+from beltarm_env.task.streams import draw as draw_numbers
+from beltarm_env.task.streams import seeded, wrapping
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +40,8 @@ EPISODES = 500
 DEFAULT_EPISODES = 200
 """Scenarios of a split that are run where nothing else is asked for."""
 QUICK_EPISODES = 24
+MOVES = 8
+"""Moves of a shift."""
 _SPACING = 1000  # seeds between the first arms of two splits
 
 
@@ -45,6 +53,7 @@ class Definition:
     ranges: Ranges
     settings: dict[str, Any] = field(default_factory=dict)  # of the environment, beyond its defaults
     delay: tuple[float, float] = (0.0, 0.0)  # of the measurements [samples], uniform
+    moves: int = 1
 
 
 def _shifted(**factors: tuple[float, float]) -> dict[str, tuple[float, float]]:
@@ -65,6 +74,10 @@ _DRIVE = _beyond(
     *(1.3, 1.8, "torque_ripple", "static_friction_excess", "kinematic_error"),
     *("current_loop_time_constant", "command_latency"),
 )
+_COARSE = {"encoder_counts": 1000}
+_FULL_ARM = {"model": "lagrangian"}
+_SHIFT = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
+_HEAVY, _GIVING = {"payload_mass": (0.5, 0.8)}, {"presliding_deflection": (0.010, 0.020)}
 SPLITS = {
     "nominal": Definition("the nominal arm with an ideal drive, random moves", {}),
     "ideal": Definition("arms from the training ranges, but with an ideal drive", IDEAL_RANGES),
@@ -77,16 +90,23 @@ SPLITS = {
         {**TRAIN_RANGES, **_DRIVE},
     ),
     "sensing": Definition(
-        "a coarse encoder, 1000 counts, read one to two samples late",
-        TRAIN_RANGES,
-        settings={"encoder_counts": 1000},
-        delay=(1.0, 2.0),
+        "a coarse encoder, 1000 counts, read one to two samples late", TRAIN_RANGES, _COARSE, delay=(1.0, 2.0)
     ),
-    "structural": Definition(
-        "the full two-link arm, whose equations no controller has", TRAIN_RANGES, settings={"model": "lagrangian"}
+    "structural": Definition("the full two-link arm, whose equations no controller has", TRAIN_RANGES, _FULL_ARM),
+    "shift": Definition(
+        f"shifts of {MOVES} moves, every other one with a new part; motors give before they slip", _SHIFT, moves=MOVES
     ),
+    "shift-payload": Definition("shifts with heavier parts, 0.5 to 0.8 kg", {**_SHIFT, **_HEAVY}, moves=MOVES),
+    "shift-stiffness": Definition("shifts with softer belts", {**_SHIFT, **_STIFFNESS}, moves=MOVES),
+    "shift-friction": Definition("shifts with more friction", {**_SHIFT, **_FRICTION}, moves=MOVES),
+    "shift-drive": Definition("shifts with worse drives", {**_SHIFT, **_DRIVE}, moves=MOVES),
+    "shift-presliding": Definition(
+        "shifts of motors that give more before they slip, 10 to 20 mrad", {**_SHIFT, **_GIVING}, moves=MOVES
+    ),
+    "shift-sensing": Definition("shifts with a coarse, late encoder", _SHIFT, _COARSE, (1.0, 2.0), MOVES),
+    "shift-structural": Definition("shifts of the full two-link arm", _SHIFT, _FULL_ARM, moves=MOVES),
 }
-"""By name. A new one comes last: its place says which seeds it has."""
+"""By name. A new one comes last: its place says which seeds it has. Those of shifts have no test scenarios yet."""
 
 
 def main_split(names: Sequence[str]) -> str:
@@ -96,26 +116,43 @@ def main_split(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Scenarios of one split."""
+    """Scenarios of one split. Of a shift, settings have the number of moves and the ranges that later ones need."""
 
     name: str
     of: str  # name of the set of scenarios that it belongs to
-    seed: int
-    settings: dict[str, Any]
-    table: Floats  # constants of the arms, columns as `ArmParams`     (n, len(FIELDS))
-    moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
+    seeds: NDArray[np.int64]  # (n,)
+    settings: dict[str, Any]  # of the environment
+    tables: Floats  # constants of the arms in each move, columns as `ArmParams`     (moves, n, len(FIELDS))
+    all_moves: Floats  # start, goal [rad], duration, ramp time [s]     (moves, n, 4)
     delays: Floats  # of the measurements [samples]     (n,)
     digest: str  # SHA-256 of its content
 
-    def arms(self, episodes: int) -> list[ArmParams]:
-        """Return the constants of the first arms."""
-        return [ArmParams.from_row(row) for row in self.table[:episodes]]
+    @property
+    def seed(self) -> int:
+        """Seed of the first arm."""
+        return int(self.seeds[0])
+
+    @property
+    def table(self) -> Floats:
+        """Constants of the arms in their first move, shape (n, len(FIELDS))."""
+        return self.tables[0]
+
+    @property
+    def moves(self) -> Floats:
+        """First moves, shape (n, 4)."""
+        return self.all_moves[0]
+
+    def arms(self, rows: slice | NDArray[np.intp]) -> list[list[ArmParams]]:
+        """Return the constants of some arms, in each move."""
+        return [[ArmParams.from_row(row) for row in table[rows]] for table in self.tables]
 
     def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
         """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
+        late = {"delay": self.delays[chosen]} if self.delays.any() else {}
+        if len(self.tables) > 1:  # what comes after the first move is drawn on the way
+            return {"seed": self.seeds[chosen].tolist(), **late, **self.settings}
         move = dict(zip(MOVE_FIELDS, self.moves[chosen].T, strict=True))
         options = {"params": params_columns(self.table[chosen]), "move": move}
-        late = {"delay": self.delays[chosen]} if self.delays.any() else {}
         return {"seed": self.seed, "options": options, **late, **self.settings}
 
     @property
@@ -125,8 +162,8 @@ class Split:
 
     def part(self, rows: slice | NDArray[np.intp]) -> Split:
         """Make a split of some of the scenarios."""
-        chosen = self.table[rows], self.moves[rows], self.delays[rows]
-        return make_split(self.name, self.of, self.seed, self.settings, *chosen)
+        chosen = self.tables[:, rows], self.all_moves[:, rows], self.delays[rows]
+        return make_split(self.name, self.of, self.seeds[rows], self.settings, *chosen)
 
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""
@@ -143,11 +180,12 @@ def beside_one_another(splits: Sequence[Split]) -> list[list[int]]:
 
 def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
     """Put scenarios of splits of one `kind_of_batch` into one split without a name, one after the other."""
-    table, moves, delays = (
-        np.concatenate([getattr(split, column)[part] for split, part in chosen])
-        for column in ("table", "moves", "delays")
-    )
-    return replace(chosen[0][0], name="", of="", table=table, moves=moves, delays=delays, digest="")
+    seeds, delays = (np.concatenate([getattr(split, name)[part] for split, part in chosen]) for name in _PER_SCENARIO)
+    tables, moves = (np.concatenate([getattr(split, name)[:, part] for split, part in chosen], 1) for name in _PER_MOVE)
+    return replace(chosen[0][0], name="", of="", seeds=seeds, tables=tables, all_moves=moves, delays=delays, digest="")
+
+
+_PER_SCENARIO, _PER_MOVE = ("seeds", "delays"), ("tables", "all_moves")
 
 
 def draw(name: str, of: str, seeds: SeedRange) -> Split:
@@ -163,11 +201,30 @@ def draw(name: str, of: str, seeds: SeedRange) -> Split:
 def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
     """Draw scenarios of a split by their seeds, one each."""
     definition = SPLITS[name]
-    env = BeltArmVectorEnv(len(seeds), randomization=definition.ranges)
-    env.reset(seed=seeds)
+    settings, count = dict(definition.settings), len(seeds)
+    if definition.moves > 1:
+        settings |= {"moves": definition.moves, "randomization": dict(definition.ranges)}
+    batch = ArmBatch(
+        count,
+        sensors="encoder",
+        profile="trapezoid",
+        model="lumped",
+        randomization=definition.ranges,
+        encoder_counts=ENCODER_COUNTS,
+        delay=0,
+        moves=definition.moves,
+    )
+    streams, uniforms, chosen = seeded(seeds), np.empty((count, DRAWS)), np.arange(count)
+    tables, moves = list[Floats](), list[Floats]()
+    for number in range(definition.moves):
+        with wrapping():
+            draw_numbers(streams, chosen, uniforms)
+        batch.next_moves(chosen, uniforms) if number else batch.reset(chosen, uniforms, None)
+        tables.append(batch.table.copy())
+        moves.append(batch.moves)
     low, high = definition.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
     delays = low + (high - low) * np.array([np.random.default_rng((seed, 1)).random() for seed in seeds])
-    return make_split(name, of, seeds[0], definition.settings, env.params_table, env.moves, delays)
+    return make_split(name, of, np.array(seeds), settings, np.array(tables), np.array(moves), delays)
 
 
 def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
@@ -183,11 +240,21 @@ def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
 
 
 def make_split(
-    name: str, of: str, seed: int, settings: dict[str, Any], table: Floats, moves: Floats, delays: Floats
+    name: str,
+    of: str,
+    seeds: NDArray[np.int64],
+    settings: dict[str, Any],
+    tables: Floats,
+    all_moves: Floats,
+    delays: Floats,
 ) -> Split:
     """Make a split with its SHA-256."""
-    content = [VERSION, settings, table.tolist(), moves.tolist(), delays.tolist()]
-    return Split(name, of, seed, settings, table, moves, delays, digest_of(content))
+    if len(tables) == 1:
+        content = [VERSION, settings, tables[0].tolist(), all_moves[0].tolist(), delays.tolist()]
+    else:
+        drawn = hashlib.sha256(b"".join(each.tobytes() for each in (seeds, tables, all_moves))).hexdigest()
+        content = [VERSION, settings, drawn, delays.tolist()]
+    return Split(name, of, seeds, settings, tables, all_moves, delays, digest_of(content))
 
 
 def digest_of(content: object) -> str:

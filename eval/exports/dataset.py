@@ -167,7 +167,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
     usual = not options.controller and not options.policy
     sources = (_USUAL, (EXPERT,)) if usual else (options.controller, options.policy)
     methods = dict(methods_side_by_side(*sources))
-    controllers = {name: method.controller(0, []) for name, method in methods.items()}
+    controllers = {name: method.controller(0) for name, method in methods.items()}
     names, share = ", ".join(methods), f"{100 * options.disturbed:g} %"
     low, high = reference_scores(options.randomization)
     spec = gymnasium.make("BeltArm-v0", **settings).spec

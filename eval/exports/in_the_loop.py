@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from baselines.reading import beginning
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.observation import index, scales
 from beltarm_env.rollout import Controller, Recording, rollout
@@ -21,6 +23,7 @@ from eval.exports.source import Loop
 
 _ANGLE = index("motor_angle")
 _ANGLE_SCALE = scales()[_ANGLE]
+_HOLDS_PART = index("holds_part")
 
 
 def counts_of(observation: Singles, resolution: float) -> Integers:
@@ -39,12 +42,12 @@ class StepTimes(NamedTuple):
 
 
 class InTheLoop:
-    """An exported controller as a `Controller`: of an observation it takes the encoder's count and nothing else.
+    """An exported controller as a `Controller` that sees counts alone and, where a move begins, `holds_part`.
 
     Args:
         folder: Folder with the sources.
         name: Name of the controller.
-        moves: Moves of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4).
+        moves: Moves of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4), or (moves, n, 4) of several.
         torque_limit: Torque limit of the arms [N m].
         toolchain: Compiler, and what runs its programs.
         counts_per_turn: Counts of the encoders.
@@ -64,7 +67,8 @@ class InTheLoop:
         counts_per_turn: int,
         flags: tuple[str, ...] = (),
     ) -> None:
-        self._limit, self._moves = torque_limit, moves
+        self._limit, self._moves = torque_limit, moves.reshape(-1, *moves.shape[-2:])
+        self._numbers = np.zeros(moves.shape[-2], np.intp)  # of the move that each arm is in
         self._quantum = 2 * np.pi / counts_per_turn
         with contextlib.ExitStack() as stack:
             program = Path(stack.enter_context(tempfile.TemporaryDirectory())) / name
@@ -72,7 +76,7 @@ class InTheLoop:
             command, pipe = [*toolchain.runner, str(program)], subprocess.PIPE
             self._process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
             stack.callback(self._process.communicate)
-            self._ask(f"arms {len(moves)} {counts_per_turn}")
+            self._ask(f"arms {len(self._numbers)} {counts_per_turn}")
             self._ends = stack.pop_all()
 
     def predict(
@@ -80,15 +84,25 @@ class InTheLoop:
     ) -> tuple[Singles, Any]:
         """Torque over its limit, shape (n, 1), see `Controller`; the memory is in the program."""
         counts = counts_of(observation, self._quantum)
-        begins = np.ones(len(counts), np.bool_) if state is None else episode_start
-        torques = self.torques(counts, begins)
+        begins = beginning(state, episode_start, observation)
+        anew = begins if state is None else np.asarray(episode_start, np.bool_)
+        self._numbers = np.where(anew, 0, self._numbers + begins)
+        torques = self.torques(counts, begins, observation[:, _HOLDS_PART] > 0)
         return (torques / self._limit).astype(np.float32)[:, None], True
 
-    def torques(self, counts: Integers, begins: Flags | None = None) -> Floats:
-        """Torques [N m] for the counts of the encoders, shape (n,); of arms that begin a move it is the first."""
+    def torques(self, counts: Integers, begins: Flags | None, holding: Flags) -> Floats:
+        """Torques [N m] for the counts of the encoders, shape (n,).
+
+        Args:
+            counts: Of the encoders, shape (n,).
+            begins: Which arms begin a move, whose torque is its first, shape (n,); None for none.
+            holding: Which grippers hold a part, shape (n,); counts where a move begins.
+        """
         lines = []
         for arm in [] if begins is None else np.flatnonzero(begins):
-            lines.append(f"reset {arm} {' '.join(f'{number:.17g}' for number in self._moves[arm])} {counts[arm]}")
+            number = self._numbers[arm]
+            move = " ".join(f"{value:.17g}" for value in np.append(self._moves[number, arm], holding[arm]))
+            lines.append(f"{'next' if number else 'reset'} {arm} {move} {counts[arm]}")
         return np.array(self._ask(*lines, f"step {' '.join(map(str, counts))}"), np.float64)
 
     def times(self) -> StepTimes:
@@ -159,7 +173,8 @@ def compare(
     """
     arguments = split.arguments(slice(episodes))
     recording = python if isinstance(python, Recording) else rollout(python, episodes, **arguments)
-    with program_for(folder, loop, split, episodes, toolchain, flags) as program:
+    moves = recording.moves.reshape(recording.num_moves, -1, 4)
+    with program_for(folder, loop, split, moves, toolchain, flags) as program:
         compiled = rollout(program, episodes, **arguments)
         times = program.times()
     length = min(len(recording.torque), len(compiled.torque))
@@ -170,14 +185,8 @@ def compare(
 
 
 def program_for(
-    folder: Path,
-    loop: Loop,
-    split: Split,
-    episodes: int,
-    toolchain: Toolchain | None = None,
-    flags: tuple[str, ...] = (),
+    folder: Path, loop: Loop, split: Split, moves: Floats, toolchain: Toolchain | None = None, flags: Sequence[str] = ()
 ) -> InTheLoop:
-    """Compile a program for the first scenarios of a split and start it; see `compare`."""
+    """Compile a program for moves of the first scenarios of a split and start it; see `InTheLoop` and `compare`."""
     counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
-    moves, limit = split.moves[:episodes], loop.params.torque_limit
-    return InTheLoop(folder, loop.name, moves, limit, toolchain or native(), counts, flags)
+    return InTheLoop(folder, loop.name, moves, loop.params.torque_limit, toolchain or native(), counts, tuple(flags))

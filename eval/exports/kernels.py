@@ -3,10 +3,11 @@
 Between count and controller stands the environment's own observation, single precision and scales included, so the
 drive's processor computes the torque that was compared, to the last bit.
 
-    begin(device, plant, resolution, move, count)           a move begins, the arm at rest
-    observe(device, count)                                  writes the sample's observation
-    commanded(device, action, limit)                        the torque, remembered as the last command
-    step(design, limit, device, memory, count)              all of a sample, made by `step_of`
+    begin(device, plant, resolution, move, holds_part, count)   a first move begins, the arm at rest
+    go_on(device, move, holds_part)                             a further one, from wherever the arm is
+    observe(device, count)                                      writes the sample's observation
+    commanded(device, action, limit)                            the torque, remembered as the last command
+    step(design, limit, device, memory, count)                  all of a sample, made by `step_of`
 
 A controller proposes a base torque, a residual where it has learned one, and how surprised its observer is. The guard,
 where there is one, chooses between them.
@@ -22,6 +23,7 @@ import numpy as np
 from agents.policy.correction import correct
 from agents.residual.controller import combined
 from agents.residual.knowledge import Filters, cut
+from baselines.estimation.filter_design import write_inputs
 from baselines.estimation.identify import identify
 from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
 from baselines.reading import Sample, sample_from
@@ -38,13 +40,17 @@ from beltarm_env.task.reference import TRAPEZOID, MoveShape
 Kernel = Callable[..., Any]
 
 
+NOTHING, MOVE, EPISODE = range(3)
+"""What begins at a sample: nothing, a further move of an episode, or an episode."""
+
+
 class Device(NamedTuple):
     """Memory of the loop for one arm."""
 
-    block: Floats  # one arm as `beltarm_env.kernels.layout` has it: encoder, move, last command
+    block: Floats  # one arm as `beltarm_env.kernels.layout` has it: encoder, move, gripper, last command
     tile: Singles  # of the observation, on its way
-    observation: Singles  # shape (1, 25)
-    begins: Integers  # 1 until the move's first sample is over, shape (1,)
+    observation: Singles  # shape (1, size)
+    begins: Integers  # EPISODE or MOVE until the first sample of one is over, then NOTHING, shape (1,)
 
 
 def empty_device(lanes: int = LANES) -> Device:
@@ -58,7 +64,7 @@ def empty_device(lanes: int = LANES) -> Device:
 
 
 @compiled
-def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, count: int) -> None:
+def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, holds_part: bool, count: int) -> None:
     """Begin a move with an arm at rest.
 
     Args:
@@ -66,6 +72,7 @@ def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, coun
         plant: Arm with the gear ratio of the drive.
         resolution: Resolution of the encoder [rad per count].
         move: The move.
+        holds_part: Whether the gripper holds a part.
         count: Count of the encoder.
     """
     block = device.block
@@ -73,11 +80,20 @@ def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, coun
         block[row * LANES] = 0.0
     store_plant(block, 0, plant)
     block[at.RESOLUTION * LANES] = resolution
-    block[at.MOVE * LANES], block[(at.MOVE + 1) * LANES] = move.start, move.goal
-    block[(at.MOVE + 2) * LANES], block[(at.MOVE + 3) * LANES] = move.duration, move.ramp_time
     for k in range(at.COUNT_HISTORY):
         block[(at.COUNTS + k) * LANES] = float(count)
-    device.begins[0] = 1
+    go_on(device, move, holds_part)
+    device.begins[0] = EPISODE
+
+
+@compiled
+def go_on(device: Device, move: MoveShape, holds_part: bool) -> None:
+    """Begin a further move; what was measured and commanded before stays."""
+    block = device.block
+    for k, value in enumerate(move):
+        block[(at.MOVE + k) * LANES] = value
+    block[at.HOLDS_PART * LANES] = 1.0 if holds_part else 0.0
+    block[at.STEP * LANES], device.begins[0] = 0.0, MOVE
 
 
 @compiled
@@ -95,7 +111,7 @@ def commanded(device: Device, action: float, limit: float) -> float:
     block = device.block
     block[at.ACTION * LANES] = action
     block[at.STEP * LANES] += 1.0
-    device.begins[0] = 0
+    device.begins[0] = NOTHING
     return action * limit
 
 
@@ -165,9 +181,8 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
         filters, surprise = None, 1.0
         if informed:
             if not shared:
-                inputs = memory.filter.inputs
-                inputs.angle[0], inputs.command[0], inputs.begins[0] = now.motor_angle, now.last_command, begins
-                identify(design.filter, inputs, memory.filter.notes, memory.filter.work)
+                write_inputs(now, begins, memory.filter.inputs)
+                identify(design.filter, memory.filter.inputs, memory.filter.notes, memory.filter.work)
             known = memory.base.notes if shared else memory.filter.notes
             tracks = known.tracks
             filters = Filters(tracks.mean, tracks.covariance, tracks.surprise, known.angle, known.commands)
@@ -180,20 +195,22 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     return propose
 
 
-def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None) -> Kernel:
+def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None, remembers: bool = False) -> Kernel:
     """Step of a controller.
 
     Args:
         propose: Proposal of the controller.
         guarded: Whether the guard stands behind it.
         servo: Law of the servo that the guard falls back to; None if there is none.
+        remembers: Whether what the controller knows lasts from move to move.
     """
 
     def step(design: Guarded, limit: float, device: Device, memory: Guarded, count: int) -> float:
         observe(device, count)
         now = sample_from(device.observation[0], limit)
-        begins = device.begins[0] == 1
-        proposal = propose(design.own, limit, device, now, begins, memory.own)
+        begins = device.begins[0] != NOTHING
+        anew = device.begins[0] == EPISODE if remembers else begins
+        proposal = propose(design.own, limit, device, now, anew, memory.own)
         if not guarded:
             return commanded(device, proposal.action, limit)
         row, asked = memory.guard.row, memory.guard.asked

@@ -20,7 +20,7 @@ from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
-from baselines.estimation.filter_design import inputs_of, room_for
+from baselines.estimation.filter_design import empty_inputs, room_for
 from baselines.estimation.identify import empty_notes
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import GUARD_SIZE
@@ -141,16 +141,16 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
-        inputs = inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
-        filtering = Filtering(empty_notes(1, SIZE), inputs, room_for(1)) if identifies and own else None
+        filtering = Filtering(empty_notes(1, SIZE), empty_inputs(), room_for(1)) if identifies and own else None
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
-    step, design, memory = step_of(propose), Guarded(design), Guarded(memory)
+    remembers = _is_classical(source) and getattr(base, "remembers", False)
+    step, design, memory = step_of(propose, remembers=remembers), Guarded(design), Guarded(memory)
     if guard:
         servo: Any = servo_for(base_name)
         law, fixed, kept = servo.kernel() if servo is not None else (None, None, None)
-        title, step = f"{title}, behind the guard", step_of(propose, True, law)
+        title, step = f"{title}, behind the guard", step_of(propose, True, law, remembers)
         design = design._replace(servo=fixed, guard=GuardSettings().design(params, residual))
         guards = GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp))
         memory = memory._replace(servo=kept, guard=guards)

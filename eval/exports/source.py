@@ -20,6 +20,7 @@ from beltarm_env.engine.translation.numbers import IN_SINGLE
 from beltarm_env.engine.translation.program import Function, Program
 from beltarm_env.engine.translation.scope import RESERVED
 from beltarm_env.engine.translation.types import (
+    BOOL,
     REAL,
     SMALL,
     Array,
@@ -34,7 +35,7 @@ from beltarm_env.kernels.layout import LANES, Rows
 from beltarm_env.physics.events import CLOSE, NEGLIGIBLE
 from beltarm_env.physics.step import ROUNDING
 from beltarm_env.task.reference import MoveShape
-from eval.exports.kernels import begin, empty_device
+from eval.exports.kernels import begin, empty_device, go_on
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
 """Constants that differ from the kernels in Python, which work on many arms side by side."""
@@ -73,7 +74,7 @@ _CPP = (
     "reinterpret_cast requires static_assert static_cast template this thread_local throw try typeid typename "
     "using virtual wchar_t xor xor_eq"
 )
-_TEMPLATES = "in_the_loop begin_move sample arithmetic_fault plus_rounder REAL_EPSILON REAL_MIN"
+_TEMPLATES = "in_the_loop begin_move next_move sample arithmetic_fault plus_rounder REAL_EPSILON REAL_MIN"
 TAKEN = {*_TEMPLATES.split(), *_CPP.split()}
 """Names that are taken in a program: those of the templates, and keywords of C++."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
@@ -107,7 +108,7 @@ class Loop:
     @property
     def public(self) -> set[str]:
         """Names that its header defines."""
-        return {self.name, *(f"{self.name}_{part}" for part in ("real", "move", "init", "reset", "step"))}
+        return {self.name, *(f"{self.name}_{part}" for part in ("real", "move", "init", "reset", "next", "step"))}
 
 
 def for_one_lane(template: Any) -> Any:
@@ -147,9 +148,9 @@ def sources(loop: Loop) -> dict[str, str]:
     limit, memory = loop.params.torque_limit, for_one_lane(loop.memory)
     of_device, of_memory = members("device", device), members("memory", memory)
     move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
-    count = Scalar(SMALL, "count")
+    holds_part, count = Scalar(BOOL, "move->holds_part"), Scalar(SMALL, "count")
     resolution = Scalar(REAL, "self->resolution")
-    began = body(program, begin, [of_device, Const(loop.params.plant()), resolution, move, count])
+    began = body(program, begin, [of_device, Const(loop.params.plant()), resolution, move, holds_part, count])
     stepped = body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
     given = {
         "name": loop.name,
@@ -161,6 +162,7 @@ def sources(loop: Loop) -> dict[str, str]:
         "fields": [*fields_of("device", device), *fields_of("memory", memory)],
         "turn": repr(2 * math.pi),
         "begin": began,
+        "go_on": body(program, go_on, [of_device, move, holds_part]),
         "step": stepped,
         **parts_of(program),
     }

@@ -167,14 +167,14 @@ class LuGreArms:
     def check(self, table: Floats) -> None:
         """Take all arms."""
 
-    def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
-        """Begin new episodes for arms with parameters (n, fields), with bristles that are not deflected."""
+    def begin(self, arms: Integers, table: Floats, states: Floats | None) -> None:
+        """Begin new episodes for arms with parameters (n, fields), without deflection; without states further moves."""
+        if states is not None:
+            self._bristles[arms] = 0.0
         breakaway = table[:, COLUMN.coulomb_friction] * (1 + table[:, COLUMN.static_friction_excess])
         stiffness = breakaway / self._deflection
-        self._bristles[arms], self._sample[arms] = 0.0, 0
-        self._stiffness[arms] = stiffness
-        critical = 2 * np.sqrt(stiffness * table[:, COLUMN.motor_inertia])
-        self._damping[arms] = SHARE_OF_CRITICAL * critical
+        self._stiffness[arms], self._sample[arms] = stiffness, 0
+        self._damping[arms] = SHARE_OF_CRITICAL * 2 * np.sqrt(stiffness * table[:, COLUMN.motor_inertia])
 
     def advance(self, actions: Floats) -> Floats:
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""

@@ -182,7 +182,7 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
 
 def play(method: Method, split: Split, count: int) -> Recording:
     """Run the first controller of a method on the first scenarios of a split."""
-    return rollout(method.controller(0, []), count, sensors=method.sensors, **split.arguments(slice(count)))
+    return rollout(method.controller(0), count, sensors=method.sensors, **split.arguments(slice(count)))
 
 
 def _as_measured(run: _Run) -> Recording:

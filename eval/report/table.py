@@ -198,8 +198,9 @@ class Results:
         return self._table(f"{heading(metric)} on every split", {split: (split, shown) for split in self.splits})
 
     def of_split(self, split: str, metrics: Sequence[str]) -> Table:
-        """Some metrics on one split."""
-        return self._table(split, {heading(metric): (split, _estimate(metric)) for metric in metrics})
+        """Some metrics on one split, of those that its results have."""
+        known = {name for row in self.on(split) for name in row["metrics"]}
+        return self._table(split, {heading(name): (split, _estimate(name)) for name in metrics if name in known})
 
     def tails(self) -> Table:
         """Mean of the cost, mean of its worst 5 %, and failures, on all splits."""

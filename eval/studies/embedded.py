@@ -128,7 +128,7 @@ def _with_single_precision(
     errors: list[Floats] = []
     recordings = []
     for split in splits:
-        with program_for(folder, loop, split, episodes, flags=_ANYWAY) as program:
+        with program_for(folder, loop, split, split.moves[:episodes], flags=_ANYWAY) as program:
 
             class Both:
                 params = loop.params

@@ -169,12 +169,13 @@ class TestFit:
 
     @pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
     def test_a_memory_tells_apart_what_looks_the_same(self, width: int, remembers: bool):
-        """Two episodes that differ in their first hold alone."""
-        inputs = torch.zeros(10, 2, 26)
-        inputs[0, 0, 3] = 1.0
+        """Two episodes that differ in their first hold alone; what is the same in all training does not count."""
+        inputs = torch.zeros(10, 2, 27)
+        inputs[0, 0, 3] = inputs[..., 25] = 1.0
         labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
         actor = self.fitted(Advice(inputs.half(), labels, torch.ones(10, 2)), gru_width=width)._regression.network
         late = actor(inputs)[-1, :, 0].detach().numpy()
+        torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), actor(inputs), rtol=0, atol=1e-5)
         assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 

@@ -100,7 +100,7 @@ import numpy as np
 import eval.compare
 from agents.policy.bundle import POLICIES, load_controller
 controller = load_controller(POLICIES / "ppo" / "seed0")
-print(controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex())
+print(controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex())
 assert "torch" not in sys.modules
 """
 
@@ -109,7 +109,7 @@ assert "torch" not in sys.modules
 def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
-    assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
+    assert done.stdout.strip() == controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex()
 
 
 @pytest.mark.parametrize(

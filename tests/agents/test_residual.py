@@ -44,9 +44,11 @@ def single_env(settings: ResidualSettings = SETTINGS, base: str = "paper", **arm
     return ResidualEnv(BeltArmEnv(**{**ARMS, **arm}), CONTROLLERS[base](), settings)
 
 
-def many(count: int, settings: ResidualSettings = SETTINGS, base: str = "paper", **options: Any) -> ResidualVecEnv:
+def many(
+    count: int, settings: ResidualSettings = SETTINGS, base: str = "paper", moves: int = 1, **options: Any
+) -> ResidualVecEnv:
     """A batch that begins at the moves' start, seeded with 30, 31, ..."""
-    arms = BeltArmVectorEnv(count, autoreset_mode="SameStep", **ARMS)
+    arms = BeltArmVectorEnv(count, autoreset_mode="SameStep", moves=moves, **ARMS)
     batch = ResidualVecEnv(arms, CONTROLLERS[base](), settings, **{"stagger": False, **options})
     batch.seed(30)
     return batch
@@ -70,8 +72,8 @@ def random_residuals(count: int, seed: int = 0) -> Singles:
     return np.repeat(levels, 10, axis=0).astype(np.float32)
 
 
-def base_run(base: str, count: int) -> Recording:
-    return rollout(CONTROLLERS[base](), count, seed=30, **ARMS)
+def base_run(base: str, count: int, moves: int = 1) -> Recording:
+    return rollout(CONTROLLERS[base](), count, seed=30, moves=moves, **ARMS)
 
 
 class Silent:
@@ -154,23 +156,41 @@ def test_batch_agrees_with_single_arms_bit_for_bit():
 
 
 def test_a_policy_acts_alike_in_training_and_as_a_controller():
-    count, policy = 4, NetworkPolicy(new_weights(BundleSpec("ppo", "paper", SETTINGS, (16, 16)), 0))
-    recording = rollout(ResidualController(CONTROLLERS["paper"](), policy, SETTINGS), count, seed=30, **ARMS)
+    count, moves, policy = 2, 2, NetworkPolicy(new_weights(BundleSpec("ppo", "paper", SETTINGS, (16, 16)), 0))
+    controller = ResidualController(CONTROLLERS["paper"](), policy, SETTINGS)
+    recording = rollout(controller, count, seed=30, moves=moves, **ARMS)
     assert recording.finished.all()
-    assert not np.allclose(recording.state, base_run("paper", count).state)
-    batch = many(count)
+    assert not np.allclose(recording.state, base_run("paper", count, moves).state)
+    batch = many(count, moves=moves)
     observations, total, done = observed(batch), np.zeros(count), np.zeros(count, np.bool_)
-    for hold in range(HOLDS):
+    for hold in range(moves * HOLDS):
         residuals, _ = policy.predict(observations, deterministic=True)
         observations, rewards, done, _ = stepped(batch, residuals)
         total += rewards
         if not done.any():
-            assert np.array_equal(batch.env.state, recording.state[SETTINGS.hold * (hold + 1) - 1])
+            run = recording.of_move(hold // HOLDS)
+            assert np.array_equal(batch.env.state, run.state[SETTINGS.hold * (hold % HOLDS + 1) - 1])
     assert done.all()
-    assert -total == pytest.approx(recording.cost, rel=1e-5)
+    assert -total == pytest.approx(recording.cost.reshape(moves, count).sum(axis=0), rel=1e-5)
 
 
-def test_controller_holds_the_residual_and_restarts_with_an_episode():
+def test_a_move_that_begins_with_the_sample_in_which_another_episode_ends():
+    batch = many(2, moves=2, stagger=True)  # restarts its arms after 4 and 1204 of 2400 samples
+    observed(batch)
+    seen, _, done, _ = stepped(batch, np.zeros((2, 1), np.float32))
+    env, informed = BeltArmEnv(moves=2, **ARMS), InformedBase(CONTROLLERS["paper"]())
+    for seed, steps in ((31, 1204), (None, 1200)):
+        alone, _ = env.reset(seed=seed)
+        memory = informed.advance(alone[None], None, None)
+        for _ in range(steps):
+            alone = env.step(memory.action[0])[0]
+            memory = informed.advance(alone[None], memory, None)
+    assert done.tolist() == [True, False] and (seen[:, index("elapsed_time")] == 0).all()
+    assert batch.env.move_numbers.tolist() == [0, 1] and env.move_number == 1
+    assert np.array_equal(seen[1], informed.seen(alone[None], memory)[0])
+
+
+def test_controller_holds_the_residual_and_restarts_with_an_episode_and_with_a_move():
     class Counting(Silent):
         calls = 0
 
@@ -182,6 +202,7 @@ def test_controller_holds_the_residual_and_restarts_with_an_episode():
     seen, memory, residuals = np.zeros((2, size()), np.float32), None, []
     for step in range(8):
         start = np.array([step == 0, step in (0, 4)])
+        seen[:, index("elapsed_time")] = [1.0, step != 7]
         action, memory = controller.predict(seen, memory, start)
         residuals.append(np.round(10 * action[:, 0]).astype(int).tolist())
     assert residuals == [[1, 1], [1, 1], [1, 1], [2, 2], [2, 3], [2, 3], [4, 3], [4, 5]]
@@ -254,21 +275,23 @@ def test_price_of_the_torque_is_charged_for_every_change_to_the_last_sample():
     assert charged == pytest.approx(0.1 * changes, rel=1e-4)
 
 
-def test_the_end_of_an_episode():
-    batch = many(3)
+@pytest.mark.parametrize("moves", [1, 2])
+def test_the_end_of_an_episode(moves: int):
+    batch = many(3, moves=moves)
     seen, infos, elapsed = observed(batch), [], index("elapsed_time")
-    for hold in range(HOLDS):
+    for hold in range(moves * HOLDS):
         seen, _, done, infos = stepped(batch, np.zeros((3, 1), np.float32))
-        assert done.all() == (hold == HOLDS - 1) and done.any() == done.all()
+        assert done.all() == (hold == moves * HOLDS - 1) and done.any() == done.all()
         assert infos[0] == {} or done[0]
     for arm in range(3):
         info = infos[arm]
         assert info["TimeLimit.truncated"] is True
         assert info["terminal_observation"][elapsed] == pytest.approx(1.8)
         assert info["terminal_observation"] in batch.observation_space
-        assert info["episode"]["l"] == EPISODE_STEPS
+        assert info["episode"]["l"] == moves * EPISODE_STEPS
         assert seen[arm, elapsed] == 0
-    assert base_run("paper", 3).cost == pytest.approx([-info["episode"]["r"] for info in infos])
+    costs = base_run("paper", 3, moves).cost.reshape(moves, 3).sum(axis=0)
+    assert costs == pytest.approx([-info["episode"]["r"] for info in infos])
 
 
 def test_an_arm_that_leaves_within_a_hold():

@@ -26,14 +26,14 @@ from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
 
 SETTINGS = ResidualSettings()
-NOTHING = Sample._make([*[0.0] * 11, 0, 0.0])  # measured
+NOTHING = Sample._make([*[0.0] * 11, 0, 0.0, 0.0])  # measured
 SPECS = {
     "gru": BundleSpec("student", "adaptive", replace(SETTINGS, hold=3), (8,), "relu", gru=10, standardised=True),
     "lstm": BundleSpec("recurrent_ppo", "paper", SETTINGS, (), "tanh", lstm=5),
     "told nothing": BundleSpec("ppo", "paper", ResidualSettings(0.8, 5, "none"), (8, 6), "elu"),
     "squashed": BundleSpec("sac", "rigid", SETTINGS, (8,), "relu", "accelerometer"),
     "by name": BundleSpec(
-        *("ppo", "paper", SETTINGS, (16,)), inputs=("base_torque", "motor_speed", "believed_torsion", "start")
+        *("ppo", "paper", SETTINGS, (16,)), inputs=("base_torque", "motor_speed", "believed_torsion", "holds_part")
     ),
 }
 SHARE = 2  # rows of each policy
@@ -66,7 +66,7 @@ def test_each_has_its_own_rows_and_memory(name: str):
 def test_rows_that_cannot_be_shared_are_refused():
     several = load_controller(*folders("ppo", 2)).policy
     refused(
-        ValueError, ("2 policies", "got 3", "multiple of 2"), lambda: several.predict(np.zeros((3, 25), np.float32))
+        ValueError, ("2 policies", "got 3", "multiple of 2"), lambda: several.predict(np.zeros((3, 26), np.float32))
     )
 
 
@@ -93,7 +93,7 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
     actual = measure(Part(several, split, episodes))
     assert actual["cost"].shape == (2, episodes)
     for seed in range(2):
-        alone = rollout(several.controller(seed, []), episodes, **split.arguments(slice(episodes)))
+        alone = rollout(several.controller(seed), episodes, **split.arguments(slice(episodes)))
         for name, values in alone.metrics().items():
             assert actual[name][seed].tobytes() == values.tobytes(), name
 

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from episodes import assert_same_in_batches
+from episodes import assert_same_in_batches, next_move
 
 import baselines
 from baselines import CONTROLLERS, TUNABLE, PaperController
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.adaptive_law import begun, renewed, torque
 from baselines.reading import read, sample_of
 from baselines.registry import WITH_ACCELEROMETER
@@ -102,7 +103,7 @@ def spoilt(memory: Any) -> Any:
         for part in memory:
             spoilt(part)
     else:
-        memory[...] = True if memory.dtype == np.bool_ else np.nan
+        memory[...] = np.nan if memory.dtype.kind == "f" else 1
     return memory
 
 
@@ -110,11 +111,12 @@ def assert_law_of_one_arm(controller: Any, torque: Callable[..., float], memory:
     """Compare the torques of one arm, from `torque(now, begins, memory)`, with the middle one of a batch of three."""
     spoilt(memory)
     env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
-    for episode in range(2):
-        seen, _ = env.reset(seed=VALIDATION.first + 3 * episode)
-        begins, batch = np.ones(3, np.bool_), None
+    batch: Any = None
+    for turn, payload in enumerate((None, None, 0.0, 0.4)):  # two episodes, of which the second has three moves
+        seen = env.reset(seed=VALIDATION.first + 3 * turn)[0] if payload is None else next_move(env, payload)
+        begins = np.full(3, payload is None or not isinstance(controller, AdaptiveController))
         for k in range(STEPS):
-            reading = read(seen, controller.params)
+            reading = read(seen, controller.params)._replace(holds_part=np.full(3, float(payload != 0.0)))
             expected, batch = controller.law(reading, begins, batch)
             assert torque(sample_of(reading, 1), bool(begins[1]), memory) == expected[1], k
             action = np.clip(expected / controller.params.torque_limit, -1, 1)

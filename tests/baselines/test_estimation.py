@@ -15,11 +15,13 @@ from scipy.linalg import solve_discrete_are
 from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.accelerometer import SPREAD, unfiltered
 from baselines.estimation.accelerometer_observer import acceleration_slopes, steady_accelerometer_gain
-from baselines.estimation.believed_arm import IDENTIFIED, LOGS, nominal_row
+from baselines.estimation.believed_arm import GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
+from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
+from baselines.gains import tuned
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
-from baselines.optimal.adaptive import AdaptiveController, tuned_identifier
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
 from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
@@ -28,7 +30,7 @@ from beltarm_env.arrays import Flags, Floats
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
-from beltarm_env.task.ranges import TRAIN_RANGES
+from beltarm_env.task.ranges import PART_MASS, PRESLIDING, TRAIN_RANGES
 
 GEAR = 88.0
 SEED = 5_210_000  # of the gains' search
@@ -233,7 +235,12 @@ class TestArm:
         payload, stiffness = np.array([0.0, 0.0, 0.2, 0.2]), np.array([28.0, 38.0, 28.0, 38.0])
         move = {"start": 0.2, "goal": 1.4, "duration": 1.0, "ramp_time": 0.2}
         arms = {name: np.full(4, value) for name, value in asdict(design_model()).items()}
-        params = {**arms, "payload_mass": payload, "belt_stiffness": stiffness}
+        params = {
+            **arms,
+            "payload_mass": payload,
+            "belt_stiffness": stiffness,
+            "presliding_deflection": np.full(4, 0.002),
+        }
         reset = {"seed": 0, "options": {"params": params, "move": move}}
         memory = memory_after(AdaptiveController(), batch(4), EPISODE_STEPS, **reset)
         table = ArmIdentifier(design_model()).table(memory.belief)
@@ -247,6 +254,20 @@ class TestArm:
         assert (np.sqrt(np.mean(error**2 / belief.variance[:, LOGS], axis=0)) < 2.0).all()
         for name, most in (("motor_inertia", 0.05), ("coulomb_friction", 0.1)):
             assert np.sqrt(np.mean(error[:, IDENTIFIED.index(name)] ** 2)) < most, name
+
+
+class TestPresliding:
+    @pytest.mark.parametrize("deflection", [0.0005, 0.004, 0.02])
+    def test_is_found_where_the_encoder_shows_it_and_the_motor_does_not_hunt_on_its_spring(self, deflection: float):
+        ranges = {**TRAIN_RANGES, "presliding_deflection": (deflection, deflection)}
+        env = batch(12, randomization=ranges)
+        belief = believed_after(AdaptiveController(tuned("adaptive", AdaptiveGains)), env)
+        found = NOMINAL_DEFLECTION * np.exp(belief.constants[:, GIVING - 4])
+        if deflection > 0.002:  # the encoder shows a smaller one hardly at all: its counts are of 1.6 mrad
+            assert np.median(np.abs(np.log(found / deflection))) < np.log(2.5)
+        run = rollout(AdaptiveController(tuned("adaptive", AdaptiveGains)), 12, seed=TRAIN_SEED, randomization=ranges)
+        swing = np.ptp(run.state[-240:, :, 0], axis=0)  # of the motors, in the last 0.36 s
+        assert np.median(swing) < 2 * deflection + 0.005
 
 
 class TestDrive:
@@ -263,6 +284,67 @@ class TestDrive:
         of = COLUMN.friction_variation, COLUMN.friction_variation_phase
         true, believed = (t[:, of[0]] * np.exp(1j * t[:, of[1]]) for t in (table, actual))
         assert np.median(np.abs(believed - true)) < 0.03
+
+
+class TestParts:
+    """What a filter knows where the gripper picks and places parts."""
+
+    def test_opens_the_swing_by_what_a_part_may_change(self):
+        """Against the formula in NumPy: a part is placed, picked, exchanged, and placed; all else stays as it was."""
+        identifier, env, swing = tuned_identifier(), batch(4, randomization="train"), LOGS.start
+        doubts, memory = identifier.uncertainty, memory_after(AdaptiveController(), env, 200, seed=TRAIN_SEED)
+        belief, going = memory.belief, np.zeros(4, np.bool_)
+        reading = read(env.reset(seed=TRAIN_SEED)[0], identifier.params)._replace(motor_angle=belief.angle)
+        nominal = nominal_row(identifier.params)[COLUMN.arm_inertia_swing]
+        known = np.full(4, np.log(identifier.params.arm_inertia_swing / nominal))
+        doubt, held = np.full(4, (_ARM_DOUBT * doubts.swing) ** 2 + doubts.torque_constant**2), True
+        for holds in (False, True, True, False, False):
+            unmoved = identifier.update(belief, reading._replace(step=np.ones(4, np.intp)), going)
+            belief = identifier.update(belief, reading._replace(holds_part=np.full(4, float(holds))), going)
+            mean, covariance = unmoved.tracks.mean, unmoved.covariance
+            if held:
+                covariance[:, swing] = covariance[:, :, swing] = 0.0
+                mean[:, swing], covariance[:, swing, swing] = known, doubt
+            known, doubt = mean[:, swing].copy(), covariance[:, swing, swing].copy()
+            if holds:
+                own = nominal * np.exp(known)
+                loaded = own + 4 * identifier.params.link_length**2 * PART
+                change = np.tile(np.eye(mean.shape[1]), (4, 1, 1))
+                change[:, swing, swing] = own / loaded
+                covariance = change @ covariance @ change
+                covariance[:, swing, swing] += (
+                    4 * identifier.params.link_length**2 * _PART_DOUBT * doubts.swing / loaded
+                ) ** 2
+                mean[:, swing] = np.log(loaded / nominal)
+            np.testing.assert_allclose(belief.tracks.mean, mean, rtol=1e-12, atol=1e-15)
+            np.testing.assert_allclose(belief.covariance, covariance, rtol=1e-12, atol=1e-18)
+            held = holds
+
+    @pytest.mark.parametrize("accelerometer", [False, True])
+    def test_an_arm_that_begins_without_a_part_has_the_swing_of_the_data_sheet(self, accelerometer: bool):
+        identifier = ArmIdentifier(design_model(), accelerometer=accelerometer)
+        env = batch(2, sensors="accelerometer")
+        reading = read(env.reset(seed=0)[0], identifier.params, "accelerometer")._replace(
+            holds_part=np.array([0.0, 1.0])
+        )
+        belief = identifier.update(None, reading, np.ones(2, np.bool_))
+        swing = identifier.table(belief)[:, COLUMN.arm_inertia_swing]
+        assert swing == pytest.approx([design_model().arm_inertia_swing, design_model().plant().inertia_swing])
+        assert belief.variance[0, LOGS.start] < belief.variance[1, LOGS.start]
+
+    def test_a_shift_costs_less_with_what_is_known_from_its_moves(self):
+        """Moves two to four of 16 arms, against controllers that begin anew and do not know of parts."""
+
+        class Forgetful(AdaptiveController):
+            remembers = False
+
+            def law(self, reading: Reading, begins: Flags, memory: Any) -> Any:
+                return super().law(reading._replace(holds_part=np.ones(len(begins))), begins, memory)
+
+        gains, ranges = tuned("adaptive", AdaptiveGains), {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
+        settings: dict[str, Any] = {"seed": TRAIN_SEED, "moves": 4, "randomization": ranges}
+        costs = [rollout(kind(gains), 16, **settings).cost[16:].mean() for kind in (AdaptiveController, Forgetful)]
+        assert costs[0] < 0.9 * costs[1]
 
 
 class TestTrust:

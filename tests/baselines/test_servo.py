@@ -107,6 +107,7 @@ class TestDisturbanceObserver:
         controller, memory = DisturbanceController(gains), None
         seen = np.zeros((1, observation.size()), np.float32)
         seen[:, [observation.index(name) for name in ("motor_speed", "reference_speed", "duration", "ramp_time")]] = 1.0
+        seen[:, observation.index("elapsed_time")] = 0.5
         loads = []
         for k in range(101):
             held = 0.0 if memory is None else memory[0, KNOWN_TORQUE] + 0.1

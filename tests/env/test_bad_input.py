@@ -55,6 +55,10 @@ SETTINGS: list[Refusal] = [
         ({"encoder_counts": value}, ValueError, ("encoder_counts", repr(value), "whole", "1 to 10000000"))
         for value in (0, 1000.5, True, "4000", 10**12)
     ),
+    *(
+        ({"moves": value}, ValueError, ("moves", repr(value), "whole", "1 to 1000"))
+        for value in (0, 1001, 2.5, True, "3")
+    ),
     *(({"delay": value}, ValueError, ("delay", repr(value), "from 0 to 2")) for value in (-1e-9, 2.5, NAN)),
     *(({"delay": value}, ValueError, ("delay", repr(value), "number")) for value in (True, "one", None)),
     ({"delay": [[1.0]]}, ValueError, ("delay", "(1, 1)")),

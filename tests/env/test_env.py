@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.batch import MOVE_TOTALS
 from beltarm_env.kernels import layout
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST
@@ -52,17 +53,16 @@ class TestGymnasium:
         ],
     )
     def test_both_checkers_are_content(self, sensors: str, profile: str, randomization: str):
-        settings = {"sensors": sensors, "profile": profile, "randomization": randomization}
+        settings = {"sensors": sensors, "profile": profile, "randomization": randomization, "moves": 2}
         gymnasium_check_env(make(**settings), skip_render_check=True)
         sb3_check_env(make(**settings), warn=True, skip_render_check=True)
 
     def test_no_wrapper_is_in_the_way_of_a_step_unless_asked_for(self):
-        env = gym.make("beltarm_env:BeltArm-v0")
-        assert isinstance(env, TimeLimit) and env.env is env.unwrapped and isinstance(env.unwrapped, BeltArmEnv)
-        bare = gym.make("BeltArm-v0", max_episode_steps=-1)
-        assert bare is bare.unwrapped
-        assert isinstance(gym.make("BeltArm-v0", disable_env_checker=False, max_episode_steps=-1), PassiveEnvChecker)
-        for each in (env, bare):
+        bare, limited = gym.make("beltarm_env:BeltArm-v0"), gym.make("BeltArm-v0", max_episode_steps=7)
+        assert bare is bare.unwrapped and isinstance(bare, BeltArmEnv)
+        assert isinstance(limited, TimeLimit) and limited.env is limited.unwrapped
+        assert isinstance(gym.make("BeltArm-v0", disable_env_checker=False), PassiveEnvChecker)
+        for each in (bare, limited):
             each.reset(seed=0)
             each.close()
             each.close()
@@ -91,12 +91,13 @@ class TestBeginningAndEnd:
             assert (terminated, truncated) == (False, k == 1199)
             assert (type(observation), observation.dtype) == (np.ndarray, np.float32)
             assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-            assert {type(value) for value in info.values()} == {float} and set(info) == INFO
+            assert {type(value) for value in info.values()} == {float}
+            assert set(info) == (INFO | {*MOVE_TOTALS} if truncated else INFO)
         assert env.time == pytest.approx(1.8)
 
     def test_a_time_limit_ends_the_episode_that_the_arm_ends_itself(self):
         """Also where the arm leaves its workspace with the last step: Gymnasium's TimeLimit calls that both."""
-        for env in (make(), gym.make("BeltArm-v0")):
+        for env in (make(), gym.make("BeltArm-v0", max_episode_steps=EPISODE_STEPS)):
             env.reset(seed=0, options={"move": {"goal": 1.5}})
             for _ in range(EPISODE_STEPS - 1):
                 assert not any(env.step(STILL)[2:4])
@@ -140,7 +141,9 @@ class TestReproducibility:
         play(original, torques(100, hold=15), seed=3)
         before = original.state
         twin = through(original)
-        assert [getattr(twin, name) for name in ARGUMENTS] == [getattr(original, name) for name in ARGUMENTS]
+        assert [getattr(twin, attribute_of(name)) for name in ARGUMENTS] == [
+            getattr(original, attribute_of(name)) for name in ARGUMENTS
+        ]
         after = []
         for env in (twin, original):
             assert np.array_equal(env.state, before)
@@ -256,7 +259,7 @@ class TestObservation:
                 then = env.reference(env.time + ahead)
                 expected[f"reference_speed_ahead_{1000 * ahead:.0f}ms"] = then.speed
                 expected[f"reference_acceleration_ahead_{1000 * ahead:.0f}ms"] = then.acceleration
-            expected |= {**env.move, "elapsed_time": env.time, "last_command": last}
+            expected |= {**env.move, "elapsed_time": env.time, "last_command": last, "holds_part": 1.0}
             assert {name: seen[name] for name in expected} == {name: close(value) for name, value in expected.items()}
             observation, _, terminated, truncated, _ = env.step(2 * action)
             last = float(np.clip(2 * action[0], -1, 1))
@@ -274,13 +277,14 @@ class TestObservation:
 
 ARGUMENTS = {
     **{"sensors": "full", "profile": "scurve", "model": "lagrangian", "randomization": "train"},
-    **{"encoder_counts": 100, "delay": 1, "render_mode": "rgb_array"},
+    **{"encoder_counts": 100, "delay": 1, "moves": 3, "render_mode": "rgb_array"},
 }
 BATCH_ARGUMENTS = {**ARGUMENTS, "num_envs": 3, "num_threads": 2, "autoreset_mode": "SameStep", "max_episode_steps": 7}
 NUMPY_SETTINGS: list[dict[str, Any]] = [
     {"randomization": {"payload_mass": (np.float64(0.1), np.float32(0.5)), "torque_ripple_order": np.array([4, 8])}},
     {"sensors": np.str_("tip"), "profile": np.str_("scurve"), "model": np.str_("lagrangian"), "delay": np.array(1)},
     {"encoder_counts": np.int64(1000), "delay": np.float32(0.5), "randomization": np.str_("train")},
+    {"moves": np.int64(4)},
 ]
 BATCH_SETTINGS: dict[str, Any] = {
     **{"num_threads": np.int64(2), "autoreset_mode": AutoresetMode.SAME_STEP, "max_episode_steps": np.int64(100)},
@@ -288,13 +292,18 @@ BATCH_SETTINGS: dict[str, Any] = {
 }
 
 
+def attribute_of(argument: str) -> str:
+    """Attribute that tells an argument: `moves` of a batch are those that its arms make now."""
+    return "num_moves" if argument == "moves" else argument
+
+
 class TestArguments:
     @pytest.mark.parametrize("name", ["BeltArm-v0", *(["BeltArmMuJoCo-v0"] if find_spec("mujoco") else [])])
     def test_specs_tell_the_number_of_steps(self, name: str):
-        batch = partial(gym.make_vec, name, num_envs=2)
-        for spec in (gym.spec(name), gym.make(name).spec, batch().spec, batch(vectorization_mode="sync").spec):
-            assert spec is not None
-            assert EnvSpec.from_json(spec.to_json()).max_episode_steps == EPISODE_STEPS
+        for moves in (1, 3):
+            for spec in (gym.make(name, moves=moves).spec, gym.make_vec(name, num_envs=2, moves=moves).spec):
+                assert spec is not None
+                assert EnvSpec.from_json(spec.to_json()).max_episode_steps == moves * EPISODE_STEPS
 
     @pytest.mark.parametrize("settings", NUMPY_SETTINGS, ids=str)
     def test_specs_make_the_environment_again(self, settings: dict[str, Any]):
@@ -305,7 +314,8 @@ class TestArguments:
             assert again.observation_space == env.observation_space
             assert play(again, torques(20), seed=3) == expected
             for name in settings:
-                assert again.get_wrapper_attr(name) == env.get_wrapper_attr(name)
+                attribute = attribute_of(name)
+                assert again.get_wrapper_attr(attribute) == env.get_wrapper_attr(attribute)
 
     def test_specs_make_the_batch_again(self):
         settings = BATCH_SETTINGS
@@ -323,11 +333,12 @@ class TestArguments:
         assert {*inspect.signature(kind).parameters} == {*arguments}
         env = kind()
         for name, value in arguments.items():
-            before = getattr(env, name)
-            with pytest.raises(AttributeError, match=name):
-                setattr(env, name, value)
-            assert getattr(env, name) == before
-            assert getattr(kind(**{name: value}), name) in (value, AutoresetMode.SAME_STEP)
+            attribute = attribute_of(name)
+            before = getattr(env, attribute)
+            with pytest.raises(AttributeError, match=f"{name}="):
+                setattr(env, attribute, value)
+            assert getattr(env, attribute) == before
+            assert getattr(kind(**{name: value}), attribute) in (value, AutoresetMode.SAME_STEP)
         with pytest.raises(AttributeError, match="sensors"):
             SyncVectorEnv([partial(gym.make, "BeltArm-v0")]).set_attr("sensors", "full")
         given: dict[str, Any] = {"payload_mass": (0.1, 0.2)}

@@ -94,6 +94,10 @@ LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.fl
         ({"tip_error": np.where(ROWS == 700, -0.002, 0.0)}, {"settling_s": 702 * CONTROL_PERIOD}),
         ({"tip_error": both(held(0.001), held(-0.001))}, {"settling_s": CONTROL_PERIOD}),  # not their distance
         ({"tip_error": both(held(0.0), LEFT)}, {"settling_s": NEVER, "failure_share": 1}),
+        ({"tip_error": np.where(ROWS == 1000, 0.0006, 0.0)}, {"still_s": 1002 * CONTROL_PERIOD - DURATION}),
+        ({"tip_error": both(held(0.0004), held(0.0004))}, {"still_s": NEVER - DURATION}),  # their distance
+        ({"tip_error": both(held(0.0), LEFT)}, {"still_s": NEVER - DURATION}),
+        ({"tip_error": np.where(BEFORE, 0.2, held(0.0003))}, {"still_s": 0}),
         ({"torque": np.where(ROWS < 900, 0.0, 0.1 * (-1.0) ** ROWS)}, {"torque_rms": 0.05}),
         ({"torque": 0.15 * TIME}, {"torque_rate_rms": 0.15}),
         # One change of 0.2 N m among 1200; the motor is without torque before the episode.

@@ -16,7 +16,7 @@ from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import DRIVE_EFFECTS
 from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.task.ranges import DRIVE_RANGES
@@ -169,6 +169,20 @@ class TestEnvironment:
         actions = np.random.default_rng(0).uniform(0.2, 1.5, (300, 2, 1)).astype(np.float32)
         assert assert_as_alone(batch, singles, actions, 5) >= 2
         assert assert_as_alone(batch, [singles[1], singles[0]], actions[:60], 5) == 0, "after other episodes"
+
+    def test_a_further_move_goes_on_with_the_motion_and_the_commands_on_their_way(self):
+        """Beside the other engine: the motor turns at 20 rad/s there, and the arm puts its part down."""
+        ranges = {name: (0.5 * UPPER_ENDS[name], UPPER_ENDS[name]) for name in EXPRESSIBLE}
+        ranges |= {"coulomb_friction": (0.0, 0.0), "payload_mass": (0.3, 0.4)}
+        arms = [BeltArmEnv(model=model, moves=2, randomization=ranges) for model in ("mujoco", "lagrangian")]
+        for arm in arms:
+            arm.reset(seed=3)
+        for k in range(EPISODE_STEPS + 300):
+            for arm in arms:
+                arm.step(np.array([0.15 * math.sin(2 * math.pi * k / 150)], np.float32))
+            assert np.abs(arms[0].state - arms[1].state)[[0, 2]].max() < 5e-5
+            assert k != EPISODE_STEPS - 1 or abs(arms[0].state[1]) > 20
+        assert [(arm.move_number, arm.params.payload_mass) for arm in arms] == [(1, 0.0)] * 2
 
     def test_what_mujoco_cannot_express_is_refused(self):
         with pytest.raises(ValueError, match=r"mujoco.*steps of its own"):

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
+from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, IDEAL_RANGES, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, FIELDS, bounds_of
 from beltarm_env.batch import TOTALS
@@ -51,8 +52,11 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
 
 
 CASES: dict[AutoresetMode, tuple[int, int, dict[str, Any]]] = {
-    AutoresetMode.NEXT_STEP: (1, 1300, {"sensors": "full", "profile": "quintic", "randomization": "off"}),
-    AutoresetMode.SAME_STEP: (5, 1400, {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1}),
+    AutoresetMode.NEXT_STEP: (1, 2600, {"sensors": "full", "profile": "quintic", "randomization": "off", "moves": 2}),
+    AutoresetMode.SAME_STEP: (
+        *(5, 3000),
+        {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1, "moves": 2},
+    ),
     AutoresetMode.DISABLED: (
         *(20, 850),
         {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000, "max_episode_steps": 400},
@@ -171,6 +175,7 @@ class TestReset:
             alone, _ = single.reset(seed=3 + arm, options={"params": params, "move": move, "state": states[arm]})
             assert np.array_equal(observations[arm], alone) and envs.params[arm] == single.params
             assert np.array_equal(envs.state[arm], single.state)
+        assert read(observations, ArmParams()).holds_part.tolist() == [0.0, 1.0, 1.0]
         assert set(options) == {"params", "move", "state"}
         envs.reset(seed=3, options={"params": {"payload_mass": 0.3}, "move": MOVE, "state": states[0]})
         assert envs.params_table[:, COLUMN.payload_mass].tolist() == [0.3] * 3

@@ -106,7 +106,7 @@ def test_the_spectrum_of_a_sine_is_a_peak_of_its_height(hertz: float, amplitude:
 
 def test_the_animation_has_the_motion_itself():
     methods = {method.name: method for method in classical_methods()}
-    motion = development_set().splits["nominal"].run(methods["paper"].controller(0, []), 3)
+    motion = development_set().splits["nominal"].run(methods["paper"].controller(0), 3)
     content = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})
     (scene,) = content["scenes"]
     raw = base64.b64decode(scene["methods"][0]["frames"])

@@ -100,10 +100,10 @@ def test_a_classical_controller_is_its_own_base_and_has_no_weights():
 # Repeated moves
 
 
-def test_cost_falls_from_repetition_to_repetition_the_same_way_every_time():
-    runs, again = (repeated(IterativeController, 2, count, seed=SEED, randomization="ideal") for count in (3, 2))
+def test_repetitions_cost_less_than_the_first_the_same_way_every_time():
+    runs, again = (repeated(IterativeController, 8, count, seed=SEED, randomization="ideal") for count in (3, 2))
     costs = [run["cost"].mean() for run in runs]
-    assert costs[1] < 0.95 * costs[0] and (np.diff(costs) < 0.01 * costs[0]).all()
+    assert max(costs[1:]) < 0.95 * costs[0]
     for first, second in zip(runs[:2], again, strict=True):
         assert all((first[name] == second[name]).all() for name in first)
 
@@ -137,7 +137,8 @@ def test_shipped_observers_fit_a_motors_processor():
 def scores() -> dict[str, Score]:
     """Scores on arms that no observer was fitted to."""
     run = rollout(make_base("adaptive"), 32, seed=VALIDATION.first, randomization="train")
-    split = Split("fresh", "validation", VALIDATION.first, {}, run.params, run.moves, np.zeros(32), "")
+    seeds = VALIDATION.first + np.arange(32)
+    split = Split("fresh", "validation", seeds, {}, run.params[None], run.moves[None], np.zeros(32), "")
     return scores_of("adaptive", watchers(), split, 32)
 
 

@@ -26,6 +26,8 @@ from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, arms_
 from eval import compare
 from eval import scenarios as command
 from eval.comparison import sets as scenarios
+from eval.comparison.cache import LEFT, Part, measure
+from eval.comparison.methods import classical_methods
 from eval.comparison.sets import (
     ScenarioSet,
     choose_set,
@@ -38,10 +40,12 @@ from eval.comparison.sets import (
     require_same_physics,
     text_of,
 )
-from eval.comparison.splits import EPISODES, SPLITS, VERSION, Split, digest_of, draw
+from eval.comparison.splits import EPISODES, MOVES, SPLITS, VERSION, Split, digest_of, draw
 
 SHIFTED = ("payload", "stiffness", "friction", "drive")
 SETTINGS = {"sensing": {"encoder_counts": 1000}, "structural": {"model": "lagrangian"}}
+OF_ONE_MOVE = ["nominal", "ideal", "randomized", *SHIFTED, *SETTINGS]
+SHIFTS = ["shift", *(f"shift-{name}" for name in (*SHIFTED, "presliding", *SETTINGS))]
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +53,12 @@ def splits() -> dict[str, Split]:
     return development_set().splits
 
 
-def test_there_are_nine_splits_of_five_hundred_scenarios_that_fill_their_ranges(splits: dict[str, Split]):
-    assert list(splits) == ["nominal", "ideal", "randomized", *SHIFTED, *SETTINGS] == list(SPLITS)
+def test_every_split_has_five_hundred_scenarios_that_fill_their_ranges(splits: dict[str, Split]):
+    assert list(splits) == [*OF_ONE_MOVE, *SHIFTS] == list(SPLITS)
     for name, split in splits.items():
         assert len(split.table) == len(split.moves) == len(split.delays) == EPISODES == 500
-        assert split.settings == SETTINGS.get(name, {})
+        of_shift = {"moves": MOVES, "randomization": SPLITS[name].ranges} if name in SHIFTS else {}
+        assert split.settings == {**SETTINGS.get(name.removeprefix("shift-"), {}), **of_shift}
         ideal = not split.table[:, [FIELDS.index(effect) for effect in DRIVE_EFFECTS]].any()
         assert ideal == (name in ("nominal", "ideal"))
         for field in FIELDS:
@@ -63,7 +68,7 @@ def test_there_are_nine_splits_of_five_hundred_scenarios_that_fill_their_ranges(
             assert np.ptp(column) > 0.95 * (high - low) or low == high, field
 
 
-def test_a_shift_is_beyond_training():
+def test_what_is_shifted_is_beyond_training():
     for name in SHIFTED:
         assert SPLITS[name].ranges.keys() == TRAIN_RANGES.keys()
         pairs = [(pair, TRAIN_RANGES[field]) for field, pair in SPLITS[name].ranges.items()]
@@ -75,7 +80,7 @@ def test_delays_are_continuous_and_each_scenario_has_its_own(splits: dict[str, S
     delays = splits["sensing"].delays
     assert 1 <= delays.min() < 1.02 and 1.98 < delays.max() <= 2
     assert len(np.unique(delays)) == EPISODES and abs(delays.mean() - 1.5) < 0.05
-    assert not any(split.delays.any() for name, split in splits.items() if name != "sensing")
+    assert [name for name, split in splits.items() if split.delays.any()] == ["sensing", "shift-sensing"]
     assert splits["sensing"].arguments(slice(3, 5))["delay"].tolist() == delays[3:5].tolist()
     assert "delay" not in splits["randomized"].arguments(slice(2))
 
@@ -88,6 +93,26 @@ def test_scenarios_are_episodes_of_the_environment(name: str, randomization: Any
     stored = rollout(PaperController(), count, **splits[name].arguments(slice(count)))
     for field in ("state", "torque", "tip_error", "cost", "params", "moves"):
         assert np.array_equal(getattr(stored, field), getattr(seeded, field))
+
+
+def test_scenarios_of_shifts_are_those_that_the_environment_draws_on_the_way(splits: dict[str, Split]):
+    rows = np.array([5, 2, 411])
+    for name in ("shift", "shift-structural"):
+        run = rollout(PaperController(), 3, **splits[name].arguments(rows))
+        assert run.num_moves == MOVES
+        assert np.array_equal(run.params, splits[name].tables[:, rows].reshape(run.params.shape))
+        assert np.array_equal(run.moves, splits[name].all_moves[:, rows].reshape(run.moves.shape))
+    masses = splits["shift"].tables[:, :, FIELDS.index("payload_mass")]
+    assert not masses[1::2].any() and masses[::2].min() >= 0.05 and len(np.unique(masses[::2])) == masses[::2].size
+
+
+def test_a_scenario_of_a_shift_is_averaged_over_its_moves(splits: dict[str, Split]):
+    (paper,) = (method for method in classical_methods() if method.name == "paper")
+    measured = measure(Part(paper, splits["shift"], 2))
+    run = rollout(PaperController(), 2, **splits["shift"].arguments(slice(2)))
+    assert np.array_equal(measured["cost"][0], run.cost.reshape(MOVES, 2).mean(axis=0))
+    still = run.metrics()["still_s"].reshape(MOVES, 2).mean(axis=0)
+    assert np.array_equal(measured["still_s"][0], still) and not measured[LEFT].any()
 
 
 # Sets
@@ -108,7 +133,7 @@ def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
 
 
 def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(ValueError, match="split structural needs 9000 seeds, its range has 8999: enlarge it"):
+    with pytest.raises(ValueError, match=r"9000.*8999"):
         draw("structural", "x", SeedRange(0, 8999))
     monkeypatch.setattr(scenarios, "FILE", tmp_path / "scenarios.json")
     assert choose_set().label.name == "development"
@@ -244,7 +269,8 @@ def test_damaged_files_are_refused(damage: str, frozen: Path, tmp_path: Path):
 
 
 def test_the_development_set_is_the_one_that_gains_were_chosen_on():
-    assert development_set().label.sha256 == "42dc7cce98701f4f17342fce79552f33b7d62f604c58636a33837bcb1b7c44ba"
+    of_one_move = make_set("development", {name: development_set().splits[name] for name in OF_ONE_MOVE})
+    assert of_one_move.label.sha256 == "42dc7cce98701f4f17342fce79552f33b7d62f604c58636a33837bcb1b7c44ba"
 
 
 @pytest.mark.parametrize(
@@ -261,7 +287,7 @@ def test_a_changed_physics_is_noticed(change: Any, message: str):
     known = choose_set("test")
     split = known.splits["nominal"]
     if isinstance(change, str):
-        change = {"table": split.table * np.where(np.array(FIELDS) == change, 1 + 1e-4, 1)}
+        change = {"tables": split.tables * np.where(np.array(FIELDS) == change, 1 + 1e-4, 1)}
     other = ScenarioSet(known.label, {"nominal": replace(split, **change)})
     with pytest.raises(ValueError, match=message) as caught:
         require_same_physics(other)

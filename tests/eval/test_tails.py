@@ -38,7 +38,7 @@ def test_policies_take_turns(tmp_path: Path):
     values = played(methods, split, 1, tmp_path)
     for method in methods:
         for k in range(6):
-            alone = split.run(method.controller(k % len(method.sources), []), k)
+            alone = split.run(method.controller(k % len(method.sources)), k)
             assert values[method.name]["cost"][k] == alone.cost[0]
 
 

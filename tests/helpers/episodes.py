@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import FIELDS
+from beltarm_env.observation import index
 
 
 def torques(steps: int, seed: int = 0, hold: int = 40) -> NDArray[np.float32]:
@@ -61,6 +63,7 @@ def assert_as_alone(
             if terminated or truncated:
                 ends, observation = ends + 1, env.reset()[0]
             assert observations[arm].tobytes() == observation.tobytes() and rewards[arm] == reward
+            assert observation[index("holds_part")] == (env.params.payload_mass > 0)
     for arm, env in pairs:
         assert batch.state[arm].tobytes() == env.state.tobytes()
         assert batch.motor_torques[arm] == env.motor_torque
@@ -75,6 +78,15 @@ def memory_after(controller: Any, env: BeltArmVectorEnv, steps: int, **reset: An
         action, memory = controller.predict(observation, memory)
         observation, *_ = env.step(action)
     return memory
+
+
+def next_move(env: BeltArmVectorEnv, payload: float) -> Any:
+    """Let all arms begin a move where they are, with a payload [kg]; return their observations."""
+    table, goal = env.params_table, np.clip(env.moves[:, 1], 0, np.pi / 2)
+    params = {name: table[:, k].copy() for k, name in enumerate(FIELDS)}
+    params["payload_mass"] = np.full(len(table), payload)
+    options = {"params": params, "move": {"start": goal}, "state": env.state}
+    return env.reset(options=options)[0]
 
 
 def torques_of(controller: Any, first: int, count: int, steps: int = 160, **settings: Any) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FLOORS = {
     "beltarm_env": (
         *("sources", "engine", "arrays timing", "arm", "physics"),
-        *("observation metrics", "task", "kernels"),
+        *("observation", "task", "kernels metrics"),
         *("rendering", "mujoco", "arguments simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (

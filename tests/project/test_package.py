@@ -171,7 +171,7 @@ def test_installed_wheel_runs_an_episode_elsewhere(built: dict[str, Path], tmp_p
     # Without site, whose .pth files would bring in the checkout of an editable install.
     path = f"{folder}{os.pathsep}{sysconfig.get_path('purelib')}"
     output = python(EPISODE, tmp_path, path, "-S", "-B", BELTARM_LEVEL=building.level()).splitlines()
-    assert output == [str(folder / "beltarm_env" / "__init__.py"), "True", "[]", "1200 True True", "(2, 25)"]
+    assert output == [str(folder / "beltarm_env" / "__init__.py"), "True", "[]", "1200 True True", "(2, 26)"]
     assert python(EPISODE, tmp_path, path, "-S", "-B", stream="stderr", BELTARM_LEVEL=building.level()) == ""
     engine = folder / "beltarm_env" / "engine"
     assert not (engine / "__pycache__").exists(), "nothing was compiled"

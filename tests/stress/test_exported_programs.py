@@ -17,6 +17,7 @@ from translating import compiler
 from agents.policy.bundle import POLICIES
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Integers
+from beltarm_env.observation import decode
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.comparison.sets import development_set
@@ -69,17 +70,17 @@ def compare(
     state, last = None, np.zeros(ARMS)
     with program:
         for sample in range(LENGTH):
+            holding = decode(seen)["holds_part"] > 0
             begins, counts = np.full(ARMS, sample == 0), encoders.read(counts_of(seen, quantum))
-            for arm, device in enumerate(devices):
+            for device, move, part, count in zip(devices, split.moves, holding, counts, strict=False):
                 if sample == 0:
-                    begin(device, loop.params.plant(), quantum, MoveShape(*split.moves[arm]), int(counts[arm]))
-                observe(device, int(counts[arm]))
+                    begin(device, loop.params.plant(), quantum, MoveShape(*move), bool(part), int(count))
+                observe(device, int(count))
             observations = np.concatenate([device.observation for device in devices])
             action, state = controller.predict(observations, state, begins)
-            torques = np.array(
-                [commanded(device, float(row[0]), limit) for device, row in zip(devices, action, strict=True)]
-            )
-            compiled = program.torques(counts, begins)
+            actions = zip(devices, action[:, 0].tolist(), strict=True)
+            torques = np.array([commanded(device, each, limit) for device, each in actions])
+            compiled = program.torques(counts, begins, holding)
             wrong = (compiled != torques) | ~(np.abs(compiled) <= limit)
             wrong |= ~(np.abs(compiled - last) <= slew + SLEW_ROUNDING * limit)
             assert not wrong.any(), (sample, encoders.faults[wrong], torques[wrong], compiled[wrong], last[wrong])

@@ -20,7 +20,7 @@ from agents.policy.bundle import POLICIES, load_controller
 from agents.policy.network import NetworkPolicy
 from baselines.guard.controller import guarded
 from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
-from beltarm_env import BeltArmEnv, BeltArmVectorEnv
+from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.engine import PLAIN
 from beltarm_env.observation import SENSORS
 
@@ -40,6 +40,14 @@ def step_environments() -> None:
         for _ in range(STEPS):
             env.step(np.array([0.3], np.float32))
             batch.step(np.full((3, 1), -0.5, np.float32))
+    for model, ranges in product(("lumped", "lagrangian"), ("off", "train")):  # into the second move
+        for env in (
+            BeltArmEnv(model=model, randomization=ranges, moves=2),
+            BeltArmVectorEnv(3, model=model, randomization=ranges, moves=2),
+        ):
+            env.reset(seed=1)
+            for _ in range(EPISODE_STEPS + 1):
+                env.step(np.zeros(env.action_space.shape or (), np.float32))
 
 
 def drive(controller: Any, sensors: str) -> None:

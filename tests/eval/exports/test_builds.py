@@ -38,7 +38,7 @@ static {name} controller;
 int main(void)
 {{
     const int32_t why = {name}_init(&controller, 4000);
-    const {name}_move move = {{0.2, 1.2, 0.6, 0.15}};
+    const {name}_move move = {{0.2, 1.2, 0.6, 0.15, true}};
     {name}_reset(&controller, &move, 11204);
     for (int64_t k = 0; k < 400; ++k) {{ /* about as the arm is to move */
         const int64_t count = 11204 + 56023 * (1200 * k * k - 2 * k * k * k) / 64000000;
@@ -139,7 +139,7 @@ def test_all_names_begin_with_the_exports(tmp_path: Path, compiler: tuple[str, .
     assert stopped(export.main, ("c", "ei", "--out", "made", "--name", name, "--no-check"), tmp_path) == (0, "")
     subprocess.run([*compiler, *RIGHT, "-c", tmp_path / "made" / f"{name}.c", "-o", target], check=True)
     listed = subprocess.run(["nm", "-g", "--defined-only", target], capture_output=True, text=True, check=True).stdout
-    parts = ("init", "reset", "step")
+    parts = ("init", "reset", "next", "step")
     assert {line.split()[-1] for line in listed.splitlines()} == {f"{name}_{part}" for part in parts}
     code = re.sub(r"/\*.*?\*/", "", (tmp_path / "made" / f"{name}.h").read_text(), flags=re.S)
     defined = re.findall(r"#define (\w+)|^} (\w+);|^typedef \w+ (\w+);|(\w+)\(", code, re.M)

@@ -79,7 +79,8 @@ def test_the_folder_of_a_shipped_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     pytest.importorskip("onnx")
-    few = written(tmp_path / "few.json")
+    shipped = [read_spec(folder)[1]["sha256"] for folder in sorted(POLICIES.glob("*/*"))]
+    few = written(tmp_path / "few.json", provenance={**published()["provenance"], "policies": shipped})
     monkeypatch.setattr(hub, "PUBLISHED", few)
     share(str(POLICY), "--repo-id", "some-lab/arm.1", "--onnx", folder=tmp_path)
     folder = tmp_path / "results/hub/arm.1"
