@@ -67,7 +67,8 @@ class LawKernel(NamedTuple):
 
     law: Callable[..., float]
     """`law(design, now, begins, memory)`: motor torque [N m] of one sample, before it is cut at its limit, from what
-    is constant, a `Sample`, and whether a move begins, when nothing in the memory counts. Writes the memory."""
+    is constant, a `Sample`, and whether a move begins, when nothing in the memory counts (an episode, if the controller
+    remembers). Writes the memory."""
     design: Any  # named tuple of numbers and arrays, which the kernel never writes
     memory: Any  # an array, or a named tuple of arrays, of the shapes that the kernel needs for one arm
 

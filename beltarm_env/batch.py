@@ -13,6 +13,7 @@ from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams, checked_constant
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine.blocks import MAX_THREADS
+from beltarm_env.info import MOVE_TOTALS, TOTALS
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import IDEAL, REAL
@@ -39,20 +40,6 @@ WINDOW_FPS = 50
 """Frames per second of arm time that a window shows [1/s]."""
 AT_ONCE = 4096
 """Arms whose draws take little memory."""
-TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
-"""Tip error [m] and the terms of the cost, of one step."""
-TOTALS = (
-    "total_cost",
-    "total_cost_position",
-    "total_cost_velocity",
-    "total_cost_torque_rate",
-    "episode_steps",
-    "tip_error_rms",
-    "tip_error_max",
-)
-"""Episode summary: costs with the charge for steps not taken, tip errors [m]."""
-MOVE_TOTALS = ("move_cost", "move_tip_error_rms", "move_tip_error_max", "move_vibration", "move_still_time")
-"""Summary of a move that is over: cost, tip errors, vibration after its end [m], time until the arm is still [s]."""
 
 
 class Engine(Protocol):

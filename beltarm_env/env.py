@@ -15,8 +15,9 @@ from beltarm_env import observation
 from beltarm_env.arguments import Arguments
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.batch import MOVE_TOTALS, ArmBatch, new_renderer
+from beltarm_env.batch import ArmBatch, new_renderer
 from beltarm_env.engine import prepared
+from beltarm_env.info import MOVE_TOTALS
 from beltarm_env.kernels.layout import Driven, for_lanes
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors

@@ -16,10 +16,11 @@ from beltarm_env import observation
 from beltarm_env.arguments import Arguments, fixed
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.batch import AT_ONCE, MOVE_TOTALS, TERMS, TOTALS, ArmBatch, new_renderer, whole
+from beltarm_env.batch import AT_ONCE, ArmBatch, new_renderer, whole
 from beltarm_env.engine import in_threads
 from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
+from beltarm_env.info import TERMS, TOTALS, Ended, masked, of_moves
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
 from beltarm_env.observation import Sensors
@@ -28,33 +29,10 @@ from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
+from beltarm_env.task.streams import Streams, checked_seed, drawn, seeded
 from beltarm_env.timing import EPISODE_STEPS
 
-_WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
-    names: (*names, *(f"_{name}" for name in names)) for names in (TERMS, TOTALS, MOVE_TOTALS)
-}
 _NONE = np.empty(0, dtype=np.intp)
-
-
-def _masked(names: tuple[str, ...], values: Floats, mask: Flags) -> dict[str, Any]:
-    """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
-    return dict(zip(_WITH_MASKS[names], (*values, *(mask.copy() for _ in names)), strict=True))
-
-
-def _drawn(streams: Streams, arms: Integers) -> Floats:
-    """Draw the numbers of an episode, or of a further move, for some arms from their streams."""
-    draws = np.empty((len(arms), DRAWS))
-    with wrapping():
-        draw(streams, arms, draws)
-    return draws
-
-
-def _moves_among(moves: tuple[Floats, Flags] | None, arms: Flags) -> dict[str, Any]:
-    """Info entries of the moves that are over, of these arms."""
-    if moves is None or not (ended := moves[1] & arms).any():
-        return {}
-    return _masked(MOVE_TOTALS, np.where(ended, moves[0], 0.0), ended)
 
 
 class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -170,7 +148,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         streams = self._seeded(seed, arms)
         if options:
-            self._batch.reset(arms, _drawn(streams, arms), options)
+            self._batch.reset(arms, drawn(streams, arms, DRAWS), options)
         else:
             self._batch.restart(arms, streams)  # the same, and needs no memory for the draws
         self._streams = streams
@@ -224,16 +202,16 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             self._restart(restarted, result)
         over = terminated | truncated
         (self._ended,) = over.nonzero()
-        info = _masked(TERMS, terms, stepped)
+        info = masked(TERMS, terms, stepped)
         self._least_left -= 1
         moves = self._end_moves(result, terminated) if self._least_left <= 0 else None
         if len(self._ended):
             info = self._finished(info, moves, result, over, terminated)
         elif moves is not None:
-            info |= _masked(MOVE_TOTALS, *moves)
+            info |= of_moves(moves, stepped)
         return result, rewards, terminated, truncated, info
 
-    def _end_moves(self, result: Singles, terminated: Flags) -> tuple[Floats, Flags] | None:
+    def _end_moves(self, result: Singles, terminated: Flags) -> Ended | None:
         """Sum up the moves that are over and begin the next ones; return the sums and the arms that they are of."""
         assert self._streams is not None, "there was a reset"
         batch = self._batch
@@ -246,31 +224,26 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         going_on = np.flatnonzero(ended & ~terminated & (batch.move_numbers < self._num_moves - 1))
         for low in range(0, len(going_on), AT_ONCE):
             arms = going_on[low : low + AT_ONCE]
-            batch.next_moves(arms, _drawn(self._streams, arms))
+            batch.next_moves(arms, drawn(self._streams, arms, DRAWS))
             batch.observe(result, arms)
         return totals, ended
 
     def _finished(
-        self,
-        info: dict[str, Any],
-        moves: tuple[Floats, Flags] | None,
-        result: Singles,
-        over: Flags,
-        terminated: Flags,
+        self, info: dict[str, Any], moves: Ended | None, result: Singles, over: Flags, terminated: Flags
     ) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
-        totals = _masked(TOTALS, self._batch.totals(self._ended, terminated), over)
+        totals = masked(TOTALS, self._batch.totals(self._ended, terminated), over)
         if self._autoreset_mode is not AutoresetMode.SAME_STEP:
-            return {**info, **totals, **_moves_among(moves, np.ones_like(over))}
+            return {**info, **totals, **of_moves(moves, np.ones_like(over))}
         terms = np.stack([info[name] for name in TERMS])
-        final_info = {**_masked(TERMS, np.where(over, terms, 0.0), over), **totals, **_moves_among(moves, over)}
+        final_info = {**masked(TERMS, np.where(over, terms, 0.0), over), **totals, **of_moves(moves, over)}
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in self._ended:
             final_observations[arm] = result[arm].copy()
         self._restart(self._ended, result)
         return {
-            **_masked(TERMS, np.where(over, 0.0, terms), ~over),
-            **_moves_among(moves, ~over),
+            **masked(TERMS, np.where(over, 0.0, terms), ~over),
+            **of_moves(moves, ~over),
             "final_obs": final_observations,
             "_final_obs": over.copy(),
             "final_info": final_info,

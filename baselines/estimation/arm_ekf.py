@@ -7,10 +7,10 @@ deflection is kept beside z, moves with the corrected angle, and ends where the 
 
 The process noise is a torque at the motor, a torsional acceleration, a slow random walk of the constants, and d, which
 decays. The encoder's rounding to counts of q counts as white noise of variance q^2 / 12. While the motor sticks, its
-torque is four times as noisy: where it slips and how stiff its spring is are known least. The constants but g
-stay as they are then, and so does what is known of them (the gain is zero in their rows, as in Schmidt's filter): what
-was learnt in a move is not lost at rest. (With as much noise as of one
+torque is four times as noisy: where it slips and how stiff its spring is are known least. (With as much noise as of one
 that slides, `adaptive` costs some 3 % more on motors that stick without giving; with less, its motor hunts at rest.)
+All constants but g stay as they are then, and so does what is known of them: their rows of the gain are zero, as in
+Schmidt's filter. So what was learnt in a move is not lost at rest.
 
 At which speed friction falls from breakaway to Coulomb's is not identified. So the torque at the motor has the noise
 
@@ -115,6 +115,12 @@ def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Float
                 jacobian[i, BIAS + axis] = 1.0 if i == 4 + axis else 0.0
 
 
+@inlined
+def _stays(entry: int) -> bool:
+    """Tell whether an entry of z is a constant of which a motor that sticks tells nothing."""
+    return LOGS.start <= entry < SIZE and entry != GIVING
+
+
 @compiled
 def _learn(
     mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, sticks: bool, room: Room
@@ -128,12 +134,11 @@ def _learn(
     for j in range(width):
         row[j] = covariance[entry, j]
     for i in range(len(mean)):
-        stays = sticks and LOGS.start <= i < SIZE and i != GIVING
-        gain[i] = 0.0 if stays else covariance[i, entry] / variance
+        gain[i] = 0.0 if sticks and _stays(i) else covariance[i, entry] / variance
         mean[i] += gain[i] * innovation
     for i in range(len(mean)):
         share, own = gain[i], row[i]
-        if sticks and LOGS.start <= i < SIZE and i != GIVING:
+        if sticks and _stays(i):
             for j in range(width):
                 covariance[i, j] -= own * gain[j]
         else:

@@ -146,3 +146,11 @@ def draw(streams: Streams, chosen: Integers, draws: Floats) -> None:
             word, turn = stream[0] ^ stream[1], stream[0] >> _ROTATION
             word = (word >> turn) | (word << ((_ZERO - turn) & _BITS))
             draws[i, k] = float(word >> _DIGITS) * _UNIT
+
+
+def drawn(streams: Streams, chosen: Integers, count: int) -> Floats:
+    """Draw `count` numbers in [0, 1) from each of n chosen streams, shape (n, count), and move these on."""
+    draws = np.empty((len(chosen), count))
+    with wrapping():
+        draw(streams, chosen, draws)
+    return draws

@@ -26,8 +26,7 @@ from beltarm_env.task.ranges import IDEAL_RANGES, PRESLIDING, TRAIN_RANGES, Rang
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.shift import PART_MASS
-from beltarm_env.task.streams import draw as draw_numbers
-from beltarm_env.task.streams import seeded, wrapping
+from beltarm_env.task.streams import drawn, seeded
 
 Floats = NDArray[np.float64]
 
@@ -43,6 +42,7 @@ QUICK_EPISODES = 24
 MOVES = 8
 """Moves of a shift."""
 _SPACING = 1000  # seeds between the first arms of two splits
+_PER_SCENARIO, _PER_MOVE = ("seeds", "delays"), ("tables", "all_moves")  # arrays of a split, by their axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,9 +185,6 @@ def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
     return replace(chosen[0][0], name="", of="", seeds=seeds, tables=tables, all_moves=moves, delays=delays, digest="")
 
 
-_PER_SCENARIO, _PER_MOVE = ("seeds", "delays"), ("tables", "all_moves")
-
-
 def draw(name: str, of: str, seeds: SeedRange) -> Split:
     """Draw a split of a set of scenarios that has a range of seeds to itself.
 
@@ -214,11 +211,10 @@ def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
         delay=0,
         moves=definition.moves,
     )
-    streams, uniforms, chosen = seeded(seeds), np.empty((count, DRAWS)), np.arange(count)
+    streams, chosen = seeded(seeds), np.arange(count)
     tables, moves = list[Floats](), list[Floats]()
     for number in range(definition.moves):
-        with wrapping():
-            draw_numbers(streams, chosen, uniforms)
+        uniforms = drawn(streams, chosen, DRAWS)
         batch.next_moves(chosen, uniforms) if number else batch.reset(chosen, uniforms, None)
         tables.append(batch.table.copy())
         moves.append(batch.moves)

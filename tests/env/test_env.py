@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.batch import MOVE_TOTALS
+from beltarm_env.info import MOVE_TOTALS
 from beltarm_env.kernels import layout
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST

@@ -15,7 +15,7 @@ from refusals import refused
 from baselines.registry import CONTROLLERS
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, FIELDS, params_table
-from beltarm_env.batch import MOVE_TOTALS
+from beltarm_env.info import MOVE_TOTALS
 from beltarm_env.metrics import METRICS
 from beltarm_env.observation import decode, index
 from beltarm_env.physics.models import ModelName

@@ -26,7 +26,7 @@ from properties import examples
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, IDEAL_RANGES, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, FIELDS, bounds_of
-from beltarm_env.batch import TOTALS
+from beltarm_env.info import TOTALS
 from beltarm_env.observation import bounds
 from beltarm_env.task.cost import MAX_COST
 

@@ -15,7 +15,7 @@ FLOORS = {
     "beltarm_env": (
         *("sources", "engine", "arrays timing", "arm", "physics"),
         *("observation", "task", "kernels metrics"),
-        *("rendering", "mujoco", "arguments simulation batch recording", "env", "vector_env", "rollout"),
+        *("rendering", "mujoco", "info", "arguments simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
