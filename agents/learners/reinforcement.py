@@ -17,7 +17,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_set
 from agents.policy.actor import Actor, actor_of
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualVecEnv
-from agents.runs.settings import RunConfig
+from agents.runs.settings import RunConfig, task_of
 from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env import BeltArmVectorEnv
@@ -60,9 +60,8 @@ class ReinforcementConfig(RunConfig):
 
     def make_env(self) -> ResidualVecEnv:
         """Make the environment of training arms."""
-        arms = BeltArmVectorEnv(
-            self.arms, sensors=self.sensors, randomization=self.randomization, autoreset_mode="SameStep"
-        )
+        task = task_of(self.moves, self.sensors, self.randomization)
+        arms = BeltArmVectorEnv(self.arms, autoreset_mode="SameStep", **task)
         return ResidualVecEnv(
             arms,
             make_base(self.base, self.sensors),

@@ -52,6 +52,16 @@ class RmaConfig(StudentConfig):
     """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     latent: int = 8
     """Numbers of the arm that the policy is given."""
+    moves: int = 1
+    """Moves of an episode: one, since a part changes the constants that are guessed."""
+    arms: int = 1024
+    """Arms of a round. Each makes one episode."""
+    rounds: int = 24
+    """Rounds of acting, asking the teacher and fitting. A run that is resumed may have more."""
+    validation_arms: int = 128
+    """Arms in each validation."""
+    batch_size: int = 32
+    """Episodes in each gradient step."""
     privileged_share: float = 0.5
     """Share of the rounds that train the policy, which knows its arm. The other rounds train the memory."""
 
@@ -62,7 +72,7 @@ class RmaConfig(StudentConfig):
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        require_bounds(self, latent=(1, None), gru_width=(1, None))
+        require_bounds(self, latent=(1, None), gru_width=(1, None), moves=(1, 1))
         self.positive("privileged_share")
         if self.privileged_rounds >= self.rounds:
             found = f"with --rounds {self.rounds} and --privileged-share {self.privileged_share}"

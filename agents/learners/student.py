@@ -43,7 +43,7 @@ from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression
 from agents.residual.bases import make_base
 from agents.residual.controller import Policy, ResidualController
-from agents.runs.settings import RunConfig
+from agents.runs.settings import RunConfig, task_of
 from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env import EPISODE_STEPS
@@ -75,9 +75,12 @@ class StudentConfig(RunConfig):
     """Largest residual, as a share of the torque limit."""
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
-    arms: int = 1024
+    moves: int = 4
+    """Moves of an episode, in training and validation. With several it is a working shift: parts are carried, friction
+    goes on drifting, and motors give before they slip."""
+    arms: int = 192
     """Arms of a round. Each makes one episode."""
-    rounds: int = 24
+    rounds: int = 18
     """Rounds of acting, asking the teacher and fitting. A run that is resumed may have more."""
     remembered: int = 6
     """Number of the last rounds whose advice is fitted."""
@@ -85,7 +88,9 @@ class StudentConfig(RunConfig):
     """Passes over that advice in each round."""
     torque_price: float = 5.0
     """Price of a torque change in the teacher's objective, as a multiple of the task's price."""
-    batch_size: int = 32
+    validation_arms: int = 32
+    """Arms in each validation."""
+    batch_size: int = 16
     """Episodes in each gradient step."""
     huber: float = 0.2
     """Threshold of the Huber loss, as a share of the torque limit."""
@@ -93,7 +98,7 @@ class StudentConfig(RunConfig):
     @property
     def samples(self) -> int:
         """Simulated samples per round. The teacher's derivatives simulate each of them twenty times more."""
-        return self.arms * EPISODE_STEPS
+        return self.arms * self.moves * EPISODE_STEPS
 
     @property
     def length(self) -> int:
@@ -110,6 +115,8 @@ class StudentConfig(RunConfig):
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
         require_bounds(self, gru_width=(0, None))
         self.positive("huber", "torque_price")
+        if self.moves > 1 and EPISODE_STEPS % self.hold:
+            raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
         if self.rounds * self.arms > SEED_SPACING:
             found = f"got {self.rounds} times {self.arms}"
             raise ValueError(f"--rounds times --arms must be at most {SEED_SPACING}, {found}: every round has new arms")
@@ -181,8 +188,8 @@ class Student:
         """Make this round's moves by a policy, on arms that no round has seen."""
         config, recorder = self.config, Recorder(policy, self.pause)
         controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
-        settings: dict[str, Any] = {"randomization": config.randomization, "sensors": config.sensors}
-        return rollout(controller, config.arms, seed=self.seed, **settings), recorder
+        task = task_of(config.moves, config.sensors, config.randomization)
+        return rollout(controller, config.arms, seed=self.seed, **task), recorder
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""

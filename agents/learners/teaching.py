@@ -19,6 +19,9 @@ problem's feedback does; what the best later torques are does not enter q at all
 student's torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is
 a Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
+Of a shift every move is advised on by itself, in the state that it begins in: what the end of a move does to the next
+one is left out, for arms come to rest in between.
+
 Where the motor sticks, torque changes nothing, and the slope is zero. A price keeps a motor at rest from being pushed
 to and fro: per sample, p_0 tau^2 of the whole torque over its limit while the motor rests, and p u^2 of the residual
 alone while it moves.
@@ -52,8 +55,8 @@ _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of
 class Advice(NamedTuple):
     """Inputs of a student through its episodes, what it should have answered, and how much it matters."""
 
-    inputs: torch.Tensor  # shape (holds, arms, inputs), half precision
-    labels: torch.Tensor  # best residuals, shape (holds, arms)
+    inputs: torch.Tensor  # shape (holds of all moves, arms, inputs), half precision
+    labels: torch.Tensor  # best residuals, shape (holds of all moves, arms)
     weights: torch.Tensor  # of mean 1, shape (holds, arms)
 
 
@@ -98,22 +101,34 @@ def advise(
         price: See `best_changes`.
         pause: Called before each arm, with zero.
     """
-    hold, limit = settings.hold, settings.limit
+    hold, limit, count = settings.hold, settings.limit, recording.num_arms
     changes, curvatures = best_changes(recording, price, pause)
-    stayed = np.flatnonzero(recording.finished)
+    stayed = np.flatnonzero(recording.finished[-count:])
     residuals = np.stack(recorder.residuals)[:, :, 0].astype(np.float64)
-    penalised, prices = _penalised(recording, residuals * limit, hold)
-    slopes = _sum_over_holds(changes * curvatures - prices * penalised, hold)[:, stayed]
-    weights = _sum_over_holds(curvatures + prices, hold)[:, stayed]
+    penalised, prices = _penalised(recording, _by_move(residuals, recording.num_moves) * limit, hold)
+    slopes = _in_a_row(_sum_over_holds(changes * curvatures - prices * penalised, hold), count)[:, stayed]
+    weights = _in_a_row(_sum_over_holds(curvatures + prices, hold), count)[:, stayed]
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(recorder.inputs)[:, stayed]).half()
     labels, weights = torch.from_numpy(best.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
     return Advice(inputs, labels, weights / weights.mean())
 
 
+def _by_move(rows: Floats, moves: int) -> Floats:
+    """What n arms had in all moves, shape (T moves, n), with columns as a `Recording`'s: shape (T, moves n)."""
+    return np.concatenate(np.split(rows, moves), axis=1)
+
+
+def _in_a_row(columns: Floats, count: int) -> Floats:
+    """What `count` arms had in moves one after another, shape (T moves, count), from columns as a `Recording`'s."""
+    return np.concatenate(np.split(columns, columns.shape[1] // count, axis=1))
+
+
 def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
     """Torque of motors at rest, residual of others, and the price of either, shape (1200, n)."""
-    still = np.concatenate([np.ones((1, len(recording.cost)), np.bool_), recording.state[:, :, 1] == 0])
+    speed, count = recording.state[:, :, 1], recording.num_arms
+    before = np.concatenate([np.zeros(count), speed[-1, :-count]])  # a move begins with the speed of the last one's end
+    still = np.concatenate([before[None], speed]) == 0
     rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
     own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
     return np.where(rests, torque, own), np.where(rests, _PRICE_AT_REST, _PRICE)
@@ -130,7 +145,7 @@ def best_changes(
     """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
 
     Args:
-        recording: Episodes of n arms, on the trapezoid reference.
+        recording: Moves, n in all, on the trapezoid reference.
         price: What a change of the torque from sample to sample costs the teacher, over what the task charges.
         pause: Called before each arm, with zero.
 
@@ -139,13 +154,15 @@ def best_changes(
     """
     states, tasks, count = _motion(recording), sampled_moves(recording.moves), len(recording.cost)
     linearisation = Linearisation(design_model(), EPISODE_STEPS)
+    before = np.broadcast_to(recording.torque_before, count)
     changes, curvatures = np.zeros((EPISODE_STEPS, count)), np.ones((EPISODE_STEPS, count))
     for i in np.flatnonzero(recording.finished):
         pause(0)
         row, torque = recording.params[i], np.ascontiguousarray(recording.torque[:, i])
         limit, task = float(row[COLUMN.torque_limit]), np.ascontiguousarray(tasks[i, 1:, :2])
         about = linearisation.about(np.ascontiguousarray(states[:, i]), torque, task, row)
-        weights = norm_weights(about.errors, np.diff(torque, prepend=0.0), limit, _EFFORT, _SOFT)
+        changed = np.diff(torque, prepend=before[i])
+        weights = norm_weights(about.errors, changed, limit, _EFFORT, _SOFT)
         weights = weights._replace(smoothness=price * weights.smoothness)
         change, _, curvature = curved_change(about, weights, torque)
         changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
@@ -153,14 +170,19 @@ def best_changes(
 
 
 def _motion(recording: Recording) -> Floats:
-    """States of arms and drives before each sample, as `ArmSimulation` has them, shape (1200, n, size)."""
-    count = len(recording.cost)
+    """States of arms and drives before each sample of n moves, as `ArmSimulation` has them, shape (1200, n, size).
+
+    A move begins in the state that the last one has left.
+    """
+    count = recording.num_arms
     arms = ArmSimulation(design_model(), count)
-    arms.set_table(recording.params, np.zeros(count))
-    now = arms.at_rest(recording.params[:, COLUMN.gear_ratio] * recording.moves[:, 0])
-    states = np.empty((EPISODE_STEPS, *now.shape))
-    for k in range(EPISODE_STEPS):
-        states[k] = now
-        arms.set_table(recording.params, np.full(count, float(k)))
-        now = arms.advance(now, recording.torque[k])
+    arms.set_table(recording.params[:count], np.zeros(count))
+    now = arms.at_rest(recording.params[:count, COLUMN.gear_ratio] * recording.moves[:count, 0])
+    states = np.empty((EPISODE_STEPS, len(recording.cost), now.shape[1]))
+    for move in range(recording.num_moves):
+        columns = slice(move * count, (move + 1) * count)
+        for k in range(EPISODE_STEPS):
+            states[k, columns] = now
+            arms.set_table(recording.params[columns], np.full(count, float(k)))
+            now = arms.advance(now, recording.torque[k, columns])
     return states

@@ -98,17 +98,23 @@ class ResidualMemory:
     informed: InformedMemory | None
     policy: Any
     residual: Singles  # held, (n, 1)
-    age: NDArray[np.int64]  # samples since the move's start, (n,)
+    age: NDArray[np.int64]  # samples since the memory's beginning, (n,)
 
 
 class ResidualController:
-    """A base controller with a learned residual, as one controller on the environment's own observation."""
+    """A base controller with a learned residual, as one controller on the environment's own observation.
+
+    Attributes:
+        params: Arm that it is made for, see `Controller`.
+        remembers: Whether its memory, the policy's too, lasts from move to move, as the base's does or not.
+    """
 
     def __init__(self, base: Controller, policy: Policy, settings: ResidualSettings) -> None:
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
         self.params = self.informed.params
+        self.remembers = self.informed.remembers
 
     def predict(
         self,
@@ -121,7 +127,7 @@ class ResidualController:
         count = len(observation)
         if state is None:
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
-        begins = beginning(state.informed, episode_start, observation)
+        begins = beginning(state.informed, episode_start, observation, self.remembers)
         informed = self.informed.advance(observation, state.informed, begins)
         age = np.where(begins, 0, state.age)
         residual, policy = state.residual, state.policy

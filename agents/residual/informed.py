@@ -48,6 +48,7 @@ class InformedBase:
 
     Attributes:
         params: Arm that base and identification are made for, see `Controller`; None if they take any.
+        remembers: Whether the base's memory, and so the belief, lasts from move to move.
     """
 
     def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
@@ -55,6 +56,7 @@ class InformedBase:
             raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {knowledge!r}")
         self.base = base
         self.knowledge: Knowledge = knowledge
+        self.remembers = bool(getattr(base, "remembers", False))
         self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
         sheet = {name: getattr(self.params or ArmParams(), name) for name in DATA_SHEET}
         self._identifier = tuned_identifier(replace(design_model(), **sheet)) if knowledge == "belief" else None
@@ -75,7 +77,7 @@ class InformedBase:
         if self._identifier is None:
             return InformedMemory(base, action, None, None, None)
         reading, before = read(observation, self._identifier.params), memory.belief if memory else None
-        begins = beginning(before, start, observation)
+        begins = beginning(before, start, observation, self.remembers)
         if isinstance(self.base, IdentifyingController):
             belief = self.base.belief(base)
         else:
@@ -99,7 +101,7 @@ class InformedBase:
         action, base = self.base.predict(observation, memory.base, ended)
         reading = read(observation, self._identifier.params)
         belief = self._identifier.reset(final.belief, reading, ended)
-        begins = beginning(memory, ended, observation)
+        begins = beginning(memory, ended, observation, self.remembers)
         return final, InformedMemory(base, action, reading, belief, _unexplained(belief, memory, begins))
 
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:

@@ -18,7 +18,9 @@ from baselines.tools.command import require_bounds
 from baselines.tools.options import Groups
 from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT, Sensors
+from beltarm_env.task.ranges import SHIFT_RANGES
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
+from beltarm_env.task.shift import MOST_MOVES
 
 if TYPE_CHECKING:
     from agents.runs.training import Learner
@@ -28,6 +30,14 @@ MAY_CHANGE = (
     *("total_steps", "validation_every", "rounds"),
 )
 """Options that may differ when a run is resumed; all others identify the run."""
+
+
+def task_of(
+    moves: int, sensors: Sensors = "encoder", randomization: Literal["train", "ideal"] = "train"
+) -> dict[str, Any]:
+    """Arguments of `BeltArmVectorEnv`: for one move arms of `TRAIN_RANGES`, for several those of `SHIFT_RANGES`."""
+    ranges = SHIFT_RANGES if moves > 1 and randomization == "train" else randomization
+    return {"randomization": ranges, "moves": moves, "sensors": sensors}
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,9 @@ class RunConfig(WithStorage):
     randomization: Literal["train", "ideal"] = "train"
     """Arms for training: from the training ranges ("train"), or the same with an ideal drive ("ideal"). Validation
     always uses the training ranges."""
+    moves: int = 1
+    """Moves of an episode, in training and validation. With several it is a working shift: parts are carried, friction
+    goes on drifting, and motors give before they slip."""
     arms: int = 512
     """Arms simulated at the same time."""
     learning_rate: float = 5e-4
@@ -113,6 +126,7 @@ class RunConfig(WithStorage):
             ValueError: Naming the option, its value and what is allowed.
         """
         require_bounds(self, arms=(1, SEED_SPACING), validation_arms=(1, None), threads=(1, None), seeds=(1, None))
+        require_bounds(self, moves=(1, MOST_MOVES))
         self.check_engine()
         self.positive("learning_rate")
         if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_TRAINING_SEED:

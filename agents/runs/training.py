@@ -24,7 +24,7 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.checkpoint import RunFolder, written_by
-from agents.runs.settings import RunConfig
+from agents.runs.settings import RunConfig, task_of
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.tools.files import errors_about
 from baselines.tools.provenance import command_line
@@ -37,9 +37,15 @@ _LEAST = 1e-6  # of a score of the base to compare with: an arm without one is a
 _NEWS_EVERY = 0.5  # [s]
 
 
-def validate(controller: Controller, arms: int, sensors: Any = "encoder") -> dict[str, float]:
-    """Compute mean scores over arms drawn from the training ranges with the validation seed."""
-    metrics = rollout(controller, arms, seed=VALIDATION.first, randomization="train", sensors=sensors).metrics()
+def validate(controller: Controller, arms: int, task: dict[str, Any]) -> dict[str, float]:
+    """Compute mean scores over arms drawn with the validation seed.
+
+    Args:
+        controller: What is validated.
+        arms: Their number.
+        task: Arguments of `rollout`, see `agents.runs.settings.task_of`.
+    """
+    metrics = rollout(controller, arms, seed=VALIDATION.first, **task).metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
 
 
@@ -188,7 +194,7 @@ class TrainingMonitor:
         self.channel.report(News(steps, scores, cost))
 
     def _validate(self, controller: Controller) -> dict[str, float]:
-        return validate(controller, self.config.validation_arms, self.config.sensors)
+        return validate(controller, self.config.validation_arms, task_of(self.config.moves, self.config.sensors))
 
     def _provenance(self) -> dict[str, Any]:
         """Steps, time and learning curve so far, for the provenance of policies."""

@@ -36,7 +36,7 @@ from baselines.optimal.adaptive_law import (
     write_motor_torques,
 )
 from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
-from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
+from baselines.planning.replanning import EVERY, SETTLING_STEPS, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
 from beltarm_env.arrays import Flags, Floats
@@ -104,7 +104,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         gains: Weights, prior uncertainty and noise.
         params: The nominal arm; the design model if not given.
         uncertainty: What the identification doubts; by default what the gains say.
-        improvements: Steps by which the first plan is improved for the task's own cost; 0 leaves it to the squares.
+        improvements: Steps by which the first plan is improved for the task's own cost, and most of those of plans around
+            the reference's end; 0 leaves all to the squares.
     """
 
     remembers = True
@@ -159,7 +160,9 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins | (reading.step == 0), now, self._weights, self._improvements)
         write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
-        return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights))
+        return torques, AdaptiveMemory(
+            belief, cache.renewed(now, self._weights, min(self._improvements, SETTLING_STEPS))
+        )
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""

@@ -25,9 +25,9 @@ from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
 from baselines.models.ramps import move_of
 from baselines.planning.plan import PLAN_COLUMNS, PlanCost, plan_backwards, step_of_plan, torque_between, torque_of_plan
-from baselines.planning.replanning import is_stale
+from baselines.planning.replanning import SETTLING_STEPS, is_stale, settles
 from baselines.planning.riccati import CostToGo, no_cost
-from baselines.planning.task_plan import PlanRoom, plan_room, plan_task
+from baselines.planning.task_plan import PlanRoom, plan_room, plan_task, refine
 from baselines.reading import Sample
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import FIELDS, plant_of
@@ -105,7 +105,7 @@ class AdaptiveDesign(NamedTuple):
     filter: Design
     cost: PlanCost
     compensation: Compensation
-    improvements: int  # steps by which the first plan is improved
+    improvements: int  # steps by which the first plan is improved, and at most those around the reference's end
     rows: int  # most samples of a plan made anew that are planned in one sample
 
 
@@ -150,7 +150,7 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
     estimate(design.filter, memory.notes, memory.identification.simulation, found)
     if begins or now.step == 0:
         time, row, state = now.step + found.delay[0], found.table[0], found.states[0]
-        plan_task(move_of(now), row, design.cost, time, state, design.improvements, memory.planning, memory.plan)
+        plan_task(move_of(now), row, design.cost, 0, time, state, design.improvements, memory.planning, memory.plan)
         memory.left[0] = 0
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
@@ -170,10 +170,10 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
     """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it.
 
     A plan is made from its end, `design.rows` samples of it at a time. Until the recursion is there, a sample has the
-    plan of before.
+    plan of before. Around the reference's end it is improved in the sample in which it is there.
     """
     found, to_go, model = memory.found, memory.to_go, memory.planning.model
-    if memory.left[0] <= now.step and is_stale(now.step, found.logs[0], memory.logs):
+    if memory.left[0] <= now.step and is_stale(now.duration, now.step, found.logs[0], memory.logs):
         write_linear_arm(found.table[0], model)
         memory.row[:] = found.table[0]
         to_go.matrix[:] = 0.0
@@ -185,6 +185,9 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
         first, plant = max(memory.left[0] - design.rows, now.step), plant_of(memory.row)
         plan_backwards(move_of(now), plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
         memory.left[0] = first
+        if first == now.step and settles(now.duration, now.step):
+            time, state, steps = now.step + found.delay[0], found.states[0], min(design.improvements, SETTLING_STEPS)
+            refine(move_of(now), memory.row, time, state, steps, memory.planning, memory.plan)
 
 
 @compiled

@@ -7,8 +7,9 @@ About the motion x_k of a trial under torques tau_k the arm is linear,
     dx[k+1] = A_k dx[k] + b_k v[k]
 
 with v the change of the torque, and A_k, b_k by differences of the arm's own simulation, friction included: where the
-motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts and the commands under way are states too
-(`beltarm_env.simulation`). Errors follow as e_k + C_k dx_k. Of the next trial is asked
+motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts, the commands under way and the deflection of
+a motor that gives are states too (`beltarm_env.simulation`). Errors follow as e_k + C_k dx_k. Of the next trial is
+asked
 
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
@@ -47,11 +48,13 @@ from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import built_drive
+from beltarm_env.physics.friction import SLIPS
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
 
 _MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3])  # of x, for the differences
 _TORQUE_MOVE = 1e-4  # of torques: of the motor, of commands under way, of the command
+_DEFLECTION_MOVE = 1e-6  # of a motor that gives before it slips
 
 
 class Trial(NamedTuple):
@@ -216,6 +219,8 @@ class Linearisation:
                 f"task {task.shape}"
             )
         moves = np.append(_MOVES, np.full(size + 1 - X, _TORQUE_MOVE))
+        if size > X:
+            moves[size - 1] = _DEFLECTION_MOVE
         copies = 2 * len(moves) + 1
         inputs = np.repeat(np.column_stack([states, torques])[:, None], copies, axis=1)
         for j, move in enumerate(moves):
@@ -228,6 +233,9 @@ class Linearisation:
         ends = self._simulation.advance(inputs[:, :, :size].reshape(-1, size), inputs[:, :, size].ravel())
         ends = ends.reshape(count, copies, size)
         slopes = (ends[:, 1::2] - ends[:, 2::2]) / (2 * moves[:, None])
+        if size > X:  # a motor that slides has no deflection: `SLIPS` stands for that
+            slopes[np.abs(states[:, -1]) >= SLIPS, -2] = 0.0
+            slopes[(np.abs(ends[:, :, -1]) >= SLIPS).any(axis=1), :, -1] = 0.0
         errors, of_state = _tip_errors(ends[:, 0, :X].copy(), np.ascontiguousarray(task), row)
         transition = np.ascontiguousarray(slopes[:, :size].swapaxes(1, 2))
         return Trial(transition, np.ascontiguousarray(slopes[:, size]), errors, of_state)

@@ -246,32 +246,23 @@ def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, first: int, room:
 
 
 @compiled
-def plan_task(
-    move: MoveShape,
-    row: Floats,
-    cost: PlanCost,
-    time: float,
-    state: Floats,
-    improvements: int,
-    room: PlanRoom,
-    rows: Floats,
+def refine(
+    move: MoveShape, row: Floats, time: float, state: Floats, improvements: int, room: PlanRoom, rows: Floats
 ) -> int:
-    """Plan a move for the task's own cost.
+    """Improve the rest of a plan for the task's own cost, from the state that the arm is in.
 
     Args:
         move: Of the joint.
         row: Constants of the arm, shape (len(FIELDS),).
-        cost: Of the plan that is improved.
         time: At which commands begin to act, since the episode's start [samples].
         state: x then, shape (4,).
         improvements: Steps at most; fewer where there is nothing left to gain.
-        room: Changed.
-        rows: As of `plan_squares`, written.
+        room: With the arm's model; changed.
+        rows: As of `plan_squares`, from the time on; changed.
 
     Returns:
         How many steps there were.
     """
-    plan_squares(move, row, cost, 0, room, rows)
     if not time < _LAST:
         return 0
     problem = problem_of(move, row)
@@ -280,3 +271,20 @@ def plan_task(
         if not improve(rows, int(time) + 1, problem, room):
             return count
     return improvements
+
+
+@compiled
+def plan_task(
+    move: MoveShape,
+    row: Floats,
+    cost: PlanCost,
+    first: int,
+    time: float,
+    state: Floats,
+    improvements: int,
+    room: PlanRoom,
+    rows: Floats,
+) -> int:
+    """Plan a move for squares from a sample on, as `plan_squares` does, and refine the plan, see `refine`."""
+    plan_squares(move, row, cost, first, room, rows)
+    return refine(move, row, time, state, improvements, room, rows)

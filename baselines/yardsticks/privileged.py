@@ -78,8 +78,10 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         self._correct(arms, reading)
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
-        now = Situation(reading.move, reading.step, time, ahead, constant, self._table)
-        cache = (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, self.gains.weights())
+        now, weights = Situation(reading.move, reading.step, time, ahead, constant, self._table), self.gains.weights()
+        cache = (
+            (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, weights).renewed(now, weights)
+        )
         torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
         friction, ripple = sliding_torques(self._table, ahead)
         gives = self._table[:, COLUMN.presliding_deflection] > 0

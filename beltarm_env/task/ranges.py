@@ -62,10 +62,13 @@ PART_MASS = (0.05, 0.5)
 """Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""
 
 PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
-"""Range of a motor that gives before it slips; beside `TRAIN_RANGES`, of which shipped policies were trained."""
+"""Range of a motor that gives before it slips; not among `TRAIN_RANGES`, those of a single move."""
 
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 """Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""
+
+SHIFT_RANGES: Ranges = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
+"""Ranges of the arms of a working shift, whose motors give before they slip: of training, and of the split `shift`."""
 
 RANGES: dict[str, Ranges] = {"off": {}, "ideal": IDEAL_RANGES, "train": TRAIN_RANGES}
 """By the word that users give as `randomization`."""

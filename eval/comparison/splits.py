@@ -22,10 +22,9 @@ from beltarm_env.batch import ArmBatch
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS
-from beltarm_env.task.ranges import IDEAL_RANGES, PRESLIDING, TRAIN_RANGES, Ranges
+from beltarm_env.task.ranges import IDEAL_RANGES, SHIFT_RANGES, TRAIN_RANGES, Ranges
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from beltarm_env.task.shift import PART_MASS
 from beltarm_env.task.streams import drawn, seeded
 
 Floats = NDArray[np.float64]
@@ -76,7 +75,6 @@ _DRIVE = _beyond(
 )
 _COARSE = {"encoder_counts": 1000}
 _FULL_ARM = {"model": "lagrangian"}
-_SHIFT = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
 _HEAVY, _GIVING = {"payload_mass": (0.5, 0.8)}, {"presliding_deflection": (0.010, 0.020)}
 SPLITS = {
     "nominal": Definition("the nominal arm with an ideal drive, random moves", {}),
@@ -94,17 +92,19 @@ SPLITS = {
     ),
     "structural": Definition("the full two-link arm, whose equations no controller has", TRAIN_RANGES, _FULL_ARM),
     "shift": Definition(
-        f"shifts of {MOVES} moves, every other one with a new part; motors give before they slip", _SHIFT, moves=MOVES
+        f"shifts of {MOVES} moves, every other one with a new part; motors give before they slip",
+        SHIFT_RANGES,
+        moves=MOVES,
     ),
-    "shift-payload": Definition("shifts with heavier parts, 0.5 to 0.8 kg", {**_SHIFT, **_HEAVY}, moves=MOVES),
-    "shift-stiffness": Definition("shifts with softer belts", {**_SHIFT, **_STIFFNESS}, moves=MOVES),
-    "shift-friction": Definition("shifts with more friction", {**_SHIFT, **_FRICTION}, moves=MOVES),
-    "shift-drive": Definition("shifts with worse drives", {**_SHIFT, **_DRIVE}, moves=MOVES),
+    "shift-payload": Definition("shifts with heavier parts, 0.5 to 0.8 kg", {**SHIFT_RANGES, **_HEAVY}, moves=MOVES),
+    "shift-stiffness": Definition("shifts with softer belts", {**SHIFT_RANGES, **_STIFFNESS}, moves=MOVES),
+    "shift-friction": Definition("shifts with more friction", {**SHIFT_RANGES, **_FRICTION}, moves=MOVES),
+    "shift-drive": Definition("shifts with worse drives", {**SHIFT_RANGES, **_DRIVE}, moves=MOVES),
     "shift-presliding": Definition(
-        "shifts of motors that give more before they slip, 10 to 20 mrad", {**_SHIFT, **_GIVING}, moves=MOVES
+        "shifts of motors that give more before they slip, 10 to 20 mrad", {**SHIFT_RANGES, **_GIVING}, moves=MOVES
     ),
-    "shift-sensing": Definition("shifts with a coarse, late encoder", _SHIFT, _COARSE, (1.0, 2.0), MOVES),
-    "shift-structural": Definition("shifts of the full two-link arm", _SHIFT, _FULL_ARM, moves=MOVES),
+    "shift-sensing": Definition("shifts with a coarse, late encoder", SHIFT_RANGES, _COARSE, (1.0, 2.0), MOVES),
+    "shift-structural": Definition("shifts of the full two-link arm", SHIFT_RANGES, _FULL_ARM, moves=MOVES),
 }
 """By name. A new one comes last: its place says which seeds it has. Those of shifts have no test scenarios yet."""
 

@@ -145,7 +145,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
-    remembers = _is_classical(source) and getattr(base, "remembers", False)
+    remembers = bool(getattr(base, "remembers", False))
     step, design, memory = step_of(propose, remembers=remembers), Guarded(design), Guarded(memory)
     if guard:
         servo: Any = servo_for(base_name)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from agents.policy.bundle import POLICY_FILE, BundleError, read_spec
 from agents.runs.checkpoint import RunFolder
+from agents.runs.settings import task_of
 from agents.runs.training import validate
 from baselines import CONTROLLERS
 from beltarm_env.arrays import Floats
@@ -29,6 +30,7 @@ class Curve:
     base: str
     base_cost: float
     arms: int  # of the validation
+    moves: int  # of each
     steps: Floats  # simulated samples of single arms
     minutes: Floats
     cost: Floats
@@ -61,12 +63,13 @@ def _read_curve(bundle: Path) -> Curve:
         points = np.stack([rows[name] for name in ("steps", "seconds", "cost")], axis=1)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
         raise BundleError(f"{bundle} holds no learning curve")
-    base_cost, arms = known.get("validation_of_base", {}).get("cost"), known.get("config", {}).get("validation_arms")
+    base_cost, options = known.get("validation_of_base", {}).get("cost"), known.get("config", {})
+    arms, moves = options.get("validation_arms"), options.get("moves", 1)
     if base_cost is None or not isinstance(arms, int):
         raise BundleError(f"{bundle} does not say what it was validated on")
     method = f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
     steps, seconds, cost = points.T
-    return Curve(method, spec.base, float(base_cost), arms, steps * spec.residual.hold, seconds / 60, cost)
+    return Curve(method, spec.base, float(base_cost), arms, moves, steps * spec.residual.hold, seconds / 60, cost)
 
 
 def levels(curves: list[Curve]) -> dict[str, float]:
@@ -75,18 +78,17 @@ def levels(curves: list[Curve]) -> dict[str, float]:
     Raises:
         ValueError: If the curves are of validations on different numbers of arms.
     """
-    numbers = {curve.arms for curve in curves}
+    numbers = {(curve.arms, curve.moves) for curve in curves}
     if len(numbers) > 1:
-        raise ValueError(
-            f"the runs were validated on different numbers of arms, {sorted(numbers)}: draw them separately"
-        )
+        found = ", ".join(f"{arms} with {moves} moves" for arms, moves in sorted(numbers))
+        raise ValueError(f"the runs were validated on different numbers of arms, {found}: draw them separately")
     bases = {curve.base: curve.base_cost for curve in curves}
-    return bases | {BEST_CLASSICAL: classical_cost(numbers.pop())}
+    return bases | {BEST_CLASSICAL: classical_cost(*numbers.pop())}
 
 
-def classical_cost(arms: int) -> float:
-    """Compute the validation cost of the best classical controller."""
-    return validate(CONTROLLERS[BEST_CLASSICAL](), arms)["cost"]
+def classical_cost(arms: int, moves: int) -> float:
+    """Compute the validation cost of the best classical controller on some arms, of some moves each."""
+    return validate(CONTROLLERS[BEST_CLASSICAL](), arms, task_of(moves))["cost"]
 
 
 def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:

@@ -26,6 +26,7 @@ from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController, ResidualSettings
+from agents.runs.settings import task_of
 from agents.runs.training import News
 from baselines import CONTROLLERS
 from baselines.engines.parallel import Interrupted
@@ -156,6 +157,22 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
     assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
 
 
+def test_advice_on_a_shift():
+    """Every move is advised on in the state that it begins in, as the environment has it, bit for bit."""
+    settings, task = ResidualSettings(limit=0.2, hold=4), task_of(3)
+    recorder = Recorder(Constant(0.1))
+    recording = rollout(ResidualController(CONTROLLERS["preview"](), recorder, settings), 2, seed=SEED, **task)
+    states = teaching._motion(recording)
+    np.testing.assert_array_equal(states[1:, :, :4], recording.state[:-1])
+    np.testing.assert_array_equal(states[0, 2:, :4], recording.state[-1, :-2])
+    advice, (changes, curvatures) = advise(recording, recorder, settings), best_changes(recording)
+    assert advice.labels.shape == (3 * 300, 2) and 0 < curvatures.min() <= curvatures.max() < 100
+    moving = (recording.state[39:44, 3, 1] != 0).all()  # hold 10 of move 1 of arm 1
+    c, h = changes[40:44, 3], curvatures[40:44, 3]
+    best = 0.1 + (h * c - 0.02).sum() / (h + 1).sum() / 0.2
+    assert moving and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
+
+
 class TestFit:
     """What a student learns is the weighted mean of the advice about what it cannot tell apart."""
 
@@ -282,7 +299,7 @@ def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[str, Path, list[int]
     trained = load_controller(folder / "last")
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.base, spec.gru) == (name, "paper", 6)
-    scores = agents.runs.training.validate(trained, 2)
+    scores = agents.runs.training.validate(trained, 2, task_of(1))
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
     (curve,) = find_curves([folder])
     assert curve.method == f"{name} on paper"

@@ -25,6 +25,7 @@ from agents.learners.tuning import TuningConfig, begin, counted, open_study, run
 from agents.policy.actor import actor_of
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
+from agents.runs.settings import task_of
 from agents.runs.training import News
 from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
@@ -69,7 +70,7 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     spec, _ = read_spec(tmp_path / "last")
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
     assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
-    validated = agents.runs.training.validate(controller, 4)
+    validated = agents.runs.training.validate(controller, 4, task_of(1))
     assert validated == spec.provenance["reached"]["validation"]
     card = (tmp_path / "last" / "README.md").read_text()
     for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,8 +19,9 @@ from baselines.iterative.controller import IterativeController, Learning
 from baselines.iterative.lesson import Lesson, Notes
 from baselines.iterative.motor_learning import FeedForward, MotorLearningController
 from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
-from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env import ArmParams, BeltArmEnv, design_model
 from beltarm_env.arm import params_table
+from beltarm_env.physics.friction import SLIPS
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -129,6 +131,23 @@ def test_linearisation_predicts_what_the_drive_does():
     for k in range(40):
         dx = trial.transition[k] @ dx + trial.by_torque[k] * push[k]
     np.testing.assert_allclose(simulated(env.params, torques + push, states[0, 0])[-1] - states[-1], dx, rtol=0.02)
+
+
+def test_linearisation_of_a_motor_that_gives():
+    """It slides, comes to rest on its spring, and rests: the linear problem predicts it, and does not grow."""
+    arm = replace(design_model(), presliding_deflection=0.002, friction_drift=0.0)
+    torques = np.concatenate([np.full(30, 0.08), np.full(30, -0.06), np.full(60, 0.01)])
+    states, count = simulated(arm, torques, 62.0), len(torques)
+    slides = np.abs(states[:-1, -1]) >= SLIPS
+    assert slides[20] and not slides[-1]
+    trial = Linearisation(arm, count).about(states[:-1], torques, np.tile([0.7, 0.0], (count, 1)), arm.row())
+    assert (trial.transition[slides][:, :, -1] == 0).all() and np.abs(np.linalg.eigvals(trial.transition)).max() < 1.1
+    push, dx = np.where(np.arange(count) >= count - 20, 1e-4, 0.0), np.zeros(9)
+    for k in range(count):
+        dx = trial.transition[k] @ dx + trial.by_torque[k] * push[k]
+    moved = simulated(arm, torques + push, 62.0)[-1] - states[-1]
+    assert abs(moved[0]) > 3e-6
+    np.testing.assert_allclose(moved, dx, rtol=0.02, atol=1e-9)
 
 
 def test_a_stuck_motor_does_not_yield():

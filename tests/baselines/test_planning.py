@@ -19,7 +19,7 @@ from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
 from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque
 from baselines.planning.replanning import STEPS, PlanCache, Situation
-from baselines.planning.task_plan import improve, plan_room, plan_squares, plan_task, problem_of
+from baselines.planning.task_plan import _cost, improve, plan_room, plan_squares, plan_task, problem_of
 from baselines.yardsticks.clairvoyant import optimum
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
 from baselines.yardsticks.privileged import PrivilegedController
@@ -120,7 +120,9 @@ def task_plans(steps: int, time: float = 0.0) -> Plans:
     plans, rest = [], np.array([ARM.gear_ratio, 0.0, 0.0, 0.0])
     for move, row in zip(MOVES, TABLE, strict=True):
         plans.append(np.empty((1200, 10)))
-        plan_task(MoveShape(*move), row, plan_cost(TASK_WEIGHTS), time, move[0] * rest, steps, plan_room(), plans[-1])
+        plan_task(
+            MoveShape(*move), row, plan_cost(TASK_WEIGHTS), 0, time, move[0] * rest, steps, plan_room(), plans[-1]
+        )
     return plans
 
 
@@ -200,6 +202,21 @@ class TestReplanning:
         assert after.logs.tolist() == [[0.03], [0.0], [-0.03]]
         kept = before.begun(np.array([True, False, True]), self.situation(0, np.ones((3, 1))), TASK_WEIGHTS)
         assert [new is old for new, old in zip(kept.plans, before.plans, strict=True)] == [False, True, False]
+
+    def test_plans_around_the_end_are_made_from_where_the_arm_is_and_improved(self):
+        """Also where nothing else is known; so they cost the task less."""
+        before, end = self.begun(), int(MOVES[1, 2] / 0.0015)
+        step = end - end % 20
+        now = self.situation(step, np.zeros((3, 1)))
+        goal = ARM.gear_ratio * MOVES[1, 1]
+        now.states[1] = goal + 0.3, 0.0, 0.01, 0.1
+        squares, improved = (before.renewed(now, TASK_WEIGHTS, steps).plans[1] for steps in (0, 2))
+        assert improved is not before.plans[1] and improved[step + 5, TORQUE] != squares[step + 5, TORQUE]
+        np.testing.assert_array_equal(improved[step:, GAIN:TORQUE], squares[step:, GAIN:TORQUE])
+        problem, costs = problem_of(MoveShape(*MOVES[1]), TABLE[1]), list[float]()
+        for plan in (squares, improved):
+            costs.append(_cost(plan, np.zeros((1200, 6)), step + 2, 0.0, problem))
+        assert costs[1] < costs[0]
 
     def test_plans_are_not_made_anew_between_times(self):
         before = self.begun()

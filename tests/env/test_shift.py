@@ -22,10 +22,9 @@ from beltarm_env.physics.models import ModelName
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import MAX_COST
-from beltarm_env.task.ranges import PART_MASS, PRESLIDING, TRAIN_RANGES
+from beltarm_env.task.ranges import PART_MASS, SHIFT_RANGES
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
-EVERYTHING = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
 STILL = np.zeros(1, np.float32)
 NEW = ("reference", "error", "start", "goal", "duration", "ramp_time", "elapsed_time", "holds_part")
 """Words in the names of observation entries that a new move changes."""
@@ -42,7 +41,7 @@ class TestContinuity:
     @pytest.mark.parametrize("sensors", ["tip", "accelerometer"])
     def test_the_first_move_is_the_episode_of_one_move_and_the_arm_goes_on_from_there(self, sensors: Any):
         single, shift = (
-            BeltArmEnv(sensors=sensors, randomization=EVERYTHING, delay=1.5, moves=moves) for moves in (1, 3)
+            BeltArmEnv(sensors=sensors, randomization=SHIFT_RANGES, delay=1.5, moves=moves) for moves in (1, 3)
         )
         assert np.array_equal(single.reset(seed=4)[0], shift.reset(seed=4)[0])
         *both, ends = [(single.step(action), shift.step(action)) for action in gentle(EPISODE_STEPS)]
@@ -61,7 +60,7 @@ class TestContinuity:
     @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
     def test_an_arm_moves_as_its_equations_with_the_row_of_each_move(self, model: ModelName):
         """With commands on their way, motor torque and presliding handed on from move to move."""
-        env = BeltArmEnv(model=model, randomization=EVERYTHING, moves=3)
+        env = BeltArmEnv(model=model, randomization=SHIFT_RANGES, moves=3)
         env.reset(seed=7)
         state: Any = None
         for move in range(3):
@@ -95,7 +94,7 @@ class TestContinuity:
 
 class TestDraws:
     def test_parts_friction_and_moves_of_a_long_shift(self):
-        moves, ranges = 12, {**EVERYTHING, "friction_drift": (-0.2, 0.2)}
+        moves, ranges = 12, {**SHIFT_RANGES, "friction_drift": (-0.2, 0.2)}
         env = BeltArmVectorEnv(40, moves=moves, randomization=ranges)
         env.reset(seed=0)
         tables, tasks = [], []

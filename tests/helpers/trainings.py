@@ -22,7 +22,7 @@ REINFORCEMENT = {
 }
 IMITATION = {
     **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
-    **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
+    **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none", "moves": 1},
 }
 OWN: dict[str, dict[str, Any]] = {
     "ppo": {**REINFORCEMENT, **ON_POLICY},

@@ -68,15 +68,16 @@ def measure(options: Options) -> dict[str, Any]:
         for variant in chosen(options.only)
     ]
     bases = [variant["runs"][0]["base"] for variant in variants]
-    (validated,) = {run["validation_arms"] for run in variants[0]["runs"]}
-    shipped = find_curves([path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
+    (validated,) = {(run["validation_arms"], run["moves"]) for run in variants[0]["runs"]}
+    curves = find_curves([path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
+    shipped = [curve for curve in curves if (curve.arms, curve.moves) == validated]  # others are of another task
     return {
         "samples": options.samples,
         "arms": options.arms,
         "first_seed": ABLATIONS.first,
         "variants": variants,
         "references": {name: score(make_base(name), options.arms) for name in dict.fromkeys([*bases, BEST_CLASSICAL])},
-        "best_classical": {"name": BEST_CLASSICAL, "validated": classical_cost(validated)},
+        "best_classical": {"name": BEST_CLASSICAL, "validated": classical_cost(*validated)},
         "shipped": shipped,
         "shipped_levels": levels(shipped),
     }

@@ -189,6 +189,7 @@ class Run:
             "scores": score(load_controller(place / "last"), arms, spec.sensors),
             "curve": [[round(float(value), 4) for value in point] for point in points],
             "validation_arms": curve.arms,
+            "moves": curve.moves,
             "validation_of_base": curve.base_cost,
         }
         write_text(place / _RECORD, json.dumps(result, indent=2) + "\n")
