@@ -48,6 +48,7 @@ from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Recording, rollout
+from beltarm_env.task.ranges import RANGES
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 MAX_GRADIENT = 0.2
@@ -77,7 +78,8 @@ class StudentConfig(RunConfig):
     """Samples for which a residual is held. 4 samples are 6 ms."""
     moves: int = 4
     """Moves of an episode, in training and validation. With several it is a working shift: parts are carried, friction
-    goes on drifting, and motors give before they slip."""
+    goes on drifting, and motors give before they slip. In every other round parts are as light as those of a single
+    move, and motors do not give: a student has to be good at both."""
     arms: int = 192
     """Arms of a round. Each makes one episode."""
     rounds: int = 18
@@ -189,6 +191,8 @@ class Student:
         config, recorder = self.config, Recorder(policy, self.pause)
         controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
         task = task_of(config.moves, config.sensors, config.randomization)
+        if self.rounds % 2:
+            task["randomization"] = RANGES[config.randomization]
         return rollout(controller, config.arms, seed=self.seed, **task), recorder
 
     def snapshot(self) -> dict[str, Any]:

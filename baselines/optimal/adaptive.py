@@ -104,8 +104,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         gains: Weights, prior uncertainty and noise.
         params: The nominal arm; the design model if not given.
         uncertainty: What the identification doubts; by default what the gains say.
-        improvements: Steps by which the first plan is improved for the task's own cost, and most of those of plans around
-            the reference's end; 0 leaves all to the squares.
+        improvements: Steps by which the first plan is improved for the task's own cost, and the most of those of plans
+            around the reference's end; 0 leaves all to the squares.
     """
 
     remembers = True

@@ -35,12 +35,21 @@ def privileged(count: int, seed: int, randomization: Any = "train") -> Privilege
     return PrivilegedController(list(drawn(count, seed, randomization).params))
 
 
-def believing(*held: str) -> AdaptiveController:
-    """`adaptive`, which plans with squares, and believes some of its `Uncertainty` to be what the design model says."""
-    gains = tuned("adaptive", AdaptiveGains)
-    return AdaptiveController(
-        gains, uncertainty=replace(gains.uncertainty(), **dict.fromkeys(held, 0.0)), improvements=0
-    )
+class _Forgetful(AdaptiveController):
+    """`adaptive` that meets its arm anew in every move."""
+
+    remembers = False
+
+
+def believing(*held: str, remembers: bool = False) -> AdaptiveController:
+    """`adaptive`, which plans with squares, and believes some of its `Uncertainty` to be what the design model says.
+
+    Args:
+        held: What it believes.
+        remembers: Whether its belief lasts from move to move.
+    """
+    gains, kind = tuned("adaptive", AdaptiveGains), AdaptiveController if remembers else _Forgetful
+    return kind(gains, uncertainty=replace(gains.uncertainty(), **dict.fromkeys(held, 0.0)), improvements=0)
 
 
 def identifying_nothing() -> AdaptiveController:
@@ -48,7 +57,7 @@ def identifying_nothing() -> AdaptiveController:
     gains = tuned("adaptive", AdaptiveGains)
     sure = {doubt.name: 0.0 for doubt in fields(gains.uncertainty()) if doubt.name not in _NOISE}
     doubts = replace(gains.uncertainty(), **sure, disturbance=max(_UNEXPLAINED, gains.unexplained_torque))
-    return AdaptiveController(gains, uncertainty=doubts, improvements=0)
+    return _Forgetful(gains, uncertainty=doubts, improvements=0)
 
 
 # Effects of the drive
