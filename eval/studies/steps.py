@@ -1,7 +1,7 @@
-"""What each step from the paper's controller to the best classical one brings.
+"""What each step from the controller of 1991 to the best classical one brings on a working shift, and learning then.
 
-Every controller of the chain has one thing more than the one before; all make the same moves with the same arms of the
-training ranges.
+Every controller of the chain has one thing more than the one before; all make the same moves with the same arms, drives
+and parts of a shift.
 """
 
 from __future__ import annotations
@@ -14,50 +14,65 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from agents.policy.bundle import POLICIES, load_controller
 from baselines import CONTROLLERS
 from baselines.tools.progress import progress_over
+from baselines.yardsticks.privileged import PrivilegedController
+from beltarm_env.arm import ArmParams
 from beltarm_env.metrics import TORQUE_QUALITY, heading
+from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import SHIFT_RANGES
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.methods import PRIVILEGED
 from eval.comparison.statistics import average, worst_mean
 from eval.report.style import BLUE, GREEN, VERMILION, name_rows
-from eval.studies._arms import believing, identifying_nothing, privileged
+from eval.studies._arms import believing, identifying_nothing
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
-SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
+SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
-QUICK = {"arms": 4}
+QUICK = {"arms": 4, "moves": 2}
 
 _TIMING = ("delay", "lag")
 _TURNING = ("variation", "excess", "stiffening")
 _RIPPLE = ("ripple",)
+_GIVING = ("giving",)
 
 
 @dataclass(frozen=True)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 10_000))
+    bounds = Bounds(arms=(4, 10_000), moves=(2, 100))
 
-    arms: int = 256
+    arms: int = 64
     """Number of arms, 4 to 10000."""
+    moves: int = 8
+    """Moves of each, 2 to 100."""
 
 
 class Step(NamedTuple):
-    """A controller, and what it has that the one before has not."""
+    """Controllers, of which the results are averaged, and what they have that the one before has not."""
 
     title: str
     controller: str
-    make: Callable[[int], Any]  # its controller, for a number of arms
+    make: Callable[[Recording | None], list[Any]]  # its controllers, of arms that another one has moved
 
 
 def _tuned(title: str, name: str) -> Step:
-    return Step(title, name, lambda _: CONTROLLERS[name]())
+    return Step(title, name, lambda _: [CONTROLLERS[name]()])
 
 
-def _held(title: str, *held: str) -> Step:
-    return Step(title, "adaptive", lambda _: believing(*held))
+def _held(title: str, *held: str, remembers: bool = False) -> Step:
+    return Step(title, "adaptive", lambda _: [believing(*held, remembers=remembers)])
+
+
+def _privileged(moved: Recording | None) -> list[Any]:
+    """The oracle that knows the arms of all moves of a recording."""
+    assert moved is not None, "the first step has moved them"
+    arms = [ArmParams.from_row(row) for row in moved.params]
+    return [PrivilegedController(*(arms[k : k + moved.num_arms] for k in range(0, len(arms), moved.num_arms)))]
 
 
 CHAIN = (
@@ -65,42 +80,57 @@ CHAIN = (
     _tuned("+ gains tuned, links and friction in the feed-forward", "retuned"),
     _tuned("+ input shaping, integral action", "ei"),
     _tuned("+ optimal plan, observer, prediction (design model)", "preview"),
-    _held("+ the arm's constants identified", *_TIMING, *_TURNING, *_RIPPLE),
-    _held("+ delay and current loop", *_TURNING, *_RIPPLE),
-    _held("+ friction over the turn, breakaway, stiffening", *_RIPPLE),
-    _held("+ torque ripple"),
-    _tuned("+ first plan for the task's own cost", "adaptive"),
-    Step("arm, drive and state known (no controller)", PRIVILEGED, lambda arms: privileged(arms, LOOPS.first)),
+    _held("+ the arm's constants identified", *_TIMING, *_TURNING, *_RIPPLE, *_GIVING),
+    _held("+ delay and current loop", *_TURNING, *_RIPPLE, *_GIVING),
+    _held("+ friction over the turn, breakaway, stiffening", *_RIPPLE, *_GIVING),
+    _held("+ torque ripple", *_GIVING),
+    _held("+ how far the motor gives before it slips"),
+    _held("+ what is known lasts from move to move", remembers=True),
+    _tuned("+ plans for the task's own cost", "adaptive"),
+    Step("arm, drive, part and state known (no controller)", PRIVILEGED, _privileged),
 )
 """The chain."""
-ASIDE = Step("`adaptive` with nothing identified", "adaptive", lambda _: identifying_nothing())
-"""Not of the chain: what identification is worth to the same law."""
+ASIDE = (
+    Step("`adaptive` with nothing identified", "adaptive", lambda _: [identifying_nothing()]),
+    Step(
+        "a learned residual on `adaptive`, all seeds",
+        "student",
+        lambda _: [load_controller(folder) for folder in sorted((POLICIES / "student").glob("seed*"))],
+    ),
+)
+"""Not of the chain: what identification is worth to the same law, and what learning adds to it."""
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Averages of every step's metrics over the arms."""
-    rows = []
-    for step in progress_over("steps", (*CHAIN, ASIDE)):
+    """Averages of every step's metrics over the moves of the arms."""
+    rows, moved = list[dict[str, Any]](), None
+    task = {"seed": LOOPS.first, "randomization": SHIFT_RANGES, "moves": options.moves}
+    for step in progress_over("steps", (*CHAIN, *ASIDE)):
         sensors = "full" if step.controller == PRIVILEGED else "encoder"
-        run = rollout(step.make(options.arms), options.arms, seed=LOOPS.first, randomization="train", sensors=sensors)
-        metrics = run.metrics()
+        runs = [rollout(controller, options.arms, sensors=sensors, **task) for controller in step.make(moved)]
+        moved, cost = moved or runs[0], np.stack([run.cost for run in runs])
+        metrics = [run.metrics() for run in runs]
+        still = np.concatenate([row["still_s"] for row in metrics])
         rows.append(
             {
                 "title": step.title,
                 "controller": step.controller,
-                "chain": step is not ASIDE,
-                **{name: average(name, metrics[name]) for name in SHOWN},
-                "mean": run.cost.mean(),
-                "worst": worst_mean(run.cost),
-                "left": np.sum(~run.finished),
+                "chain": step in CHAIN,
+                "cost": average("cost", cost.ravel()),
+                "first": average("cost", cost[:, : options.arms].ravel()),
+                **{name: average(name, np.concatenate([row[name] for row in metrics])) for name in SHOWN},
+                "still": {"median": np.median(still), "late": np.percentile(still, 95)},
+                "mean": cost.mean(),
+                "worst": worst_mean(cost),
+                "left": np.mean([np.sum(~run.finished[-options.arms :]) for run in runs]),
             }
         )
-    return {"arms": options.arms, "first_seed": LOOPS.first, "rows": rows}
+    return {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first, "rows": rows}
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Metrics of the table, without the cost."""
-    return {"shown": SHOWN[1:]}
+    """Metrics of the table."""
+    return {"shown": SHOWN}
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
