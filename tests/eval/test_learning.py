@@ -66,7 +66,7 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
         config = parse(ALGORITHMS[Path(script).stem], arguments=options)
         assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01), name
     command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
-    assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"
+    assert command == "python train/student.py --moves 1 --arms 10 --rounds 8 --gru-width 0 --seed 1"
 
 
 def test_scores_are_the_same_again():

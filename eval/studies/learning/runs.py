@@ -122,7 +122,7 @@ class Run:
         """Command-line options that make the script simulate `self.samples` samples."""
         if isinstance(config, StudentConfig):
             rounds = 2 if self.quick else _VALIDATIONS
-            return ["--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
+            return ["--moves", 1, "--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
         steps = max(self.samples // config.hold, 1)
         return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
 
