@@ -51,7 +51,10 @@ def blocks(language: str) -> list[str]:
 
 @pytest.mark.parametrize(
     "source",
-    [each if each in ("paper", "ei", PPO) else pytest.param(each, marks=pytest.mark.slow) for each in SOURCES],
+    [
+        each if each in ("paper", "ei", "adaptive", PPO) else pytest.param(each, marks=pytest.mark.slow)
+        for each in SOURCES
+    ],
     ids=identity,
 )
 def test_the_program_is_the_controller(exports: Any, source: str):
