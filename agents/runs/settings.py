@@ -96,6 +96,10 @@ class RunConfig(WithStorage):
     overwrite: bool = False
     """Delete the run in --out and start again."""
 
+    def usual(self) -> dict[str, Any]:
+        """Options that stand, on the command line, for those not given, because of one that is; else its defaults."""
+        return {}
+
     def make_learner(self) -> Learner:
         """Make an untrained learner."""
         raise NotImplementedError
