@@ -170,7 +170,8 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
     """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it.
 
     A plan is made from its end, `design.rows` samples of it at a time. Until the recursion is there, a sample has the
-    plan of before. Around the reference's end it is improved in the sample in which it is there.
+    plan of before. In the sample in which it is there it is made to begin where the arm is, and around the reference's
+    end it is improved.
     """
     found, to_go, model = memory.found, memory.to_go, memory.planning.model
     if memory.left[0] <= now.step and is_stale(now.duration, now.step, found.logs[0], memory.logs):
@@ -185,8 +186,9 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
         first, plant = max(memory.left[0] - design.rows, now.step), plant_of(memory.row)
         plan_backwards(move_of(now), plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
         memory.left[0] = first
-        if first == now.step and settles(now.duration, now.step):
-            time, state, steps = now.step + found.delay[0], found.states[0], min(design.improvements, SETTLING_STEPS)
+        if first == now.step:
+            time, state = now.step + found.delay[0], found.states[0]
+            steps = min(design.improvements, SETTLING_STEPS) if settles(now.duration, now.step) else 0
             refine(move_of(now), memory.row, time, state, steps, memory.planning, memory.plan)
 
 
