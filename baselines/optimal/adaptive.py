@@ -36,7 +36,7 @@ from baselines.optimal.adaptive_law import (
     write_motor_torques,
 )
 from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
-from baselines.planning.replanning import EVERY, SETTLING_STEPS, STEPS, PlanCache, Situation
+from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
 from beltarm_env.arrays import Flags, Floats
@@ -160,9 +160,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins | (reading.step == 0), now, self._weights, self._improvements)
         write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
-        return torques, AdaptiveMemory(
-            belief, cache.renewed(now, self._weights, min(self._improvements, SETTLING_STEPS))
-        )
+        return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights, self._improvements))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""

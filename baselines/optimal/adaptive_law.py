@@ -25,7 +25,7 @@ from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
 from baselines.models.ramps import move_of
 from baselines.planning.plan import PLAN_COLUMNS, PlanCost, plan_backwards, step_of_plan, torque_between, torque_of_plan
-from baselines.planning.replanning import SETTLING_STEPS, is_stale, settles
+from baselines.planning.replanning import is_stale, steps_of
 from baselines.planning.riccati import CostToGo, no_cost
 from baselines.planning.task_plan import PlanRoom, plan_room, plan_task, refine
 from baselines.reading import Sample
@@ -188,7 +188,7 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
         memory.left[0] = first
         if first == now.step:
             time, state = now.step + found.delay[0], found.states[0]
-            steps = min(design.improvements, SETTLING_STEPS) if settles(now.duration, now.step) else 0
+            steps = steps_of(now.duration, now.step, design.improvements)
             refine(move_of(now), memory.row, time, state, steps, memory.planning, memory.plan)
 
 

@@ -43,6 +43,12 @@ def settles(duration: float, step: int) -> bool:
     return -_BEFORE <= beyond <= _AFTER
 
 
+@inlined
+def steps_of(duration: float, step: int, most: int) -> int:
+    """Steps by which a plan made anew is improved: `most`, and at most `SETTLING_STEPS`, around the reference's end."""
+    return min(most, SETTLING_STEPS) if settles(duration, step) else 0
+
+
 @compiled
 def is_stale(duration: float, step: int, logs: Floats, of_plan: Floats) -> bool:
     """Whether a plan is to be made anew.
@@ -107,8 +113,8 @@ class PlanCache:
             plans[arm] = plans[other]
         return PlanCache(plans, np.where(begins[:, None], now.logs, self.logs))
 
-    def renewed(self, now: Situation, weights: Weights, steps: int = SETTLING_STEPS) -> PlanCache:
-        """Cache with new plans for arms whose plans are stale, improved by some steps around the reference's end."""
+    def renewed(self, now: Situation, weights: Weights, most: int = STEPS) -> PlanCache:
+        """Cache with new plans for arms whose plans are stale, improved as `steps_of` says."""
         if not (now.step % EVERY == 0).any():
             return self
         duration = now.moves[:, 2].tolist()
@@ -117,6 +123,6 @@ class PlanCache:
 
         def plan(arm: int) -> Floats:
             step = int(now.step[arm])
-            return now.plan(arm, plan_cost(weights), step, steps if settles(duration[arm], step) else 0)
+            return now.plan(arm, plan_cost(weights), step, steps_of(duration[arm], step, most))
 
         return PlanCache(replaced(self.plans, stale, plan), np.where(stale[:, None], now.logs, self.logs))
