@@ -31,8 +31,8 @@ help:  ## Show this list
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-8s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
-compare: $(READY_COMPARE)  ## Compare all controllers on 50 scenarios of every split (with ARGS: 200, or --episodes): report.html in results/compare
-	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
+compare: $(READY_COMPARE)  ## Compare all controllers, a first look of two minutes (with ARGS: as it says, without --quick): report.html in results/compare
+	$(BIN)/python eval/compare.py $(or $(ARGS),--quick)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)

@@ -42,7 +42,7 @@ METRICS = {
     "residual_lateral_pp_mm": Metric("residual p-p, lateral", "mm", detail=True),
     "tip_acc_rms": Metric("tip acc. RMS", "m/s²", digits=2),
     "settling_s": Metric("settling", "s", digits=2),
-    "still_s": Metric("time until still", "s", digits=2),
+    "still_s": Metric("time until still", "s", digits=3),
     "failure_share": Metric("not settled", "%", digits=0, share=True),
     "not_arrived_share": Metric("not arrived", "%", digits=0, share=True),
     "torque_rms": Metric("torque RMS", "N m", digits=3),

@@ -3,7 +3,7 @@
 Runs the classical controllers, the shipped policies, and an oracle that knows its arm. Prints a table and a verdict,
 and writes report.html, results.json, episodes.csv, page.md and pictures. Results are kept in the folder and used again.
 
-With --scenario-seed there are as many scenarios as you ask for.
+With --quick it takes two minutes; with --scenario-seed there are as many scenarios as you ask for.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.sets import choose_set
-from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
+from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES
 from eval.report import summary
 from eval.report.publish import print_results, publish
 from eval.studies._frame import PAGE, text_of
@@ -65,7 +65,7 @@ class Config(SideBySide):
     results are kept until a file changes in its folder or below (for a package: in the whole package). If it depends on
     files elsewhere, use --fresh."""
     time_limit: float = TIME_LIMIT
-    """Seconds that a controller from --add may take for a batch of episodes: up to 1000 scenarios of a split. It runs
+    """Seconds that a controller from --add may take for a batch of episodes: up to 200 scenarios of a split. It runs
     in a process of its own, and whatever ends that is a failure of this controller alone."""
     guard: bool = False
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
@@ -74,10 +74,10 @@ class Config(SideBySide):
     """Folder for report.html, results.json, episodes.csv, page.md, pictures, and the parts that are kept. One that has
     results of more methods, splits or scenarios is left as it is."""
     episodes: int | None = None
-    """Scenarios per split, 4 to 500, or with --scenario-seed up to 100000, of which the first 500 are always the same.
+    """Scenarios per split, 4 to 200, or with --scenario-seed up to 100000, of which the first 200 are always the same.
     Default: 200."""
     quick: bool = False
-    """Take a first look, with 24 scenarios per split."""
+    """Take a first look: 20 scenarios per split, unless --episodes says otherwise, and of a shift its first 2 moves."""
     scenarios: Literal["development", "test"] | None = None
     """Set of scenarios: "development", on which controllers and agents may be chosen, or "test". Default: the test
     set."""
@@ -103,7 +103,7 @@ def run(config: Config) -> None:
             news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
-    usual = QUICK_EPISODES if config.quick else DEFAULT_EPISODES
+    usual, moves = (QUICK_EPISODES, QUICK_MOVES) if config.quick else (EPISODES, MOVES)
     count = usual if config.episodes is None else config.episodes
     known = choose_set(config.scenarios, config.scenario_seed)
     splits = chosen("split", config.splits, known.splits)
@@ -111,7 +111,7 @@ def run(config: Config) -> None:
     if not 4 <= count <= most:
         more = f"; --scenario-seed 1 draws up to {MOST}" if config.scenario_seed is None else ""
         raise ValueError(f"--episodes must lie within 4 and {most}, got {count}{more}")
-    scenarios = known.only(splits, count)
+    scenarios = known.only(splits, count, moves)
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
     )

@@ -1,23 +1,27 @@
 """PPO, proximal policy optimisation, with and without an LSTM: options, defaults and models.
 
 The defaults of PPO are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see
-docs/science/training.md; the budget is twice a trial's.
+docs/science/training.md; the budget is twice a trial's. On a base that leaves little to find, a teacher's advice
+comes first (`--teacher-rounds`, `agents.learners.taught`).
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 
-from agents.learners.reinforcement import ReinforcementConfig
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
+from agents.learners.student import StudentConfig
+from agents.learners.taught import PatientPPO, StandardisedInputs, TaughtLearner
 from agents.policy.actor import MODULES
 from agents.residual.env import ResidualVecEnv
 from agents.residual.knowledge import Knowledge
+from agents.runs.settings import RunConfig
 from baselines.tools.command import require_bounds
 from beltarm_env.task.cost import MAX_COST
 
@@ -76,6 +80,15 @@ class OnPolicyConfig(ReinforcementConfig):
         }
 
 
+TAUGHT: dict[str, Any] = {
+    **{"total_steps": 400_000, "validation_every": 100_000, "validation_arms": 32, "critic_steps": 140_000},
+    **{"arms": 256, "rollout_steps": 128, "batch_size": 8192, "epochs": 4, "learning_rate": 2e-5},
+    **{"entropy": 0.0, "initial_log_std": -3.0, "torque_price": 5.0, "reward_scale": 0.1},
+    **{"residual_limit": 0.5, "hidden": [128, 128]},
+}
+"""Options of PPO that goes on from a teacher's advice, where none are given: see docs/science/training.md."""
+
+
 @dataclass(frozen=True)
 class PpoConfig(OnPolicyConfig):
     """Options of `train/ppo.py`."""
@@ -100,6 +113,44 @@ class PpoConfig(OnPolicyConfig):
     """Lambda of the advantage estimate. A lower value has less variance and more bias."""
     initial_log_std: float = -0.66
     """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
+    teacher_rounds: int = 0
+    """Rounds in which the actor is first fitted to a teacher's advice, as that of `train/student.py`; with 0 it begins
+    as its base. With some, options that are not given are those for a good base: little noise, small steps."""
+    teacher_arms: int = 128
+    """Arms of such a round."""
+    critic_steps: int = 0
+    """Agent steps, after those rounds, in which the critic learns alone."""
+
+    def usual(self) -> dict[str, Any]:
+        """Options that stand for those not given, see `RunConfig.usual`."""
+        return TAUGHT if self.teacher_rounds else {}
+
+    @property
+    def length(self) -> int:
+        """Agent steps of the whole run, those of the teacher's rounds included."""
+        return self.total_steps + (self.student().length if self.teacher_rounds else 0)
+
+    @property
+    def layers(self) -> dict[str, Any]:
+        """What the actor has besides hidden layers; inputs are standardised by those of the teacher's first round."""
+        return {"standardised": True} if self.teacher_rounds else {}
+
+    def student(self) -> StudentConfig:
+        """Options of the student that the actor is in the teacher's rounds; those not named here are its own."""
+        shared = {each.name: getattr(self, each.name) for each in fields(RunConfig) if each.name != "learning_rate"}
+        own = {"rounds": self.teacher_rounds, "arms": self.teacher_arms, "torque_price": self.torque_price}
+        return StudentConfig(**{**shared, **own, "gru_width": 0, "epochs": 3})
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, None))
+        if self.teacher_rounds:
+            self.student().check()
+        super().check()
+
+    def make_learner(self) -> ModelLearner:
+        """Make an untrained learner."""
+        return TaughtLearner(self) if self.teacher_rounds else super().make_learner()
 
     @property
     def worst_reward(self) -> float:
@@ -113,7 +164,10 @@ class PpoConfig(OnPolicyConfig):
         """Make an untrained model, whose learning rate will fall linearly to zero."""
         with warnings.catch_warnings():  # of a last batch that is smaller, as --batch-size says that it may be
             warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
-            return PPO("MlpPolicy", env, **self.arguments())
+            extractor = {"features_extractor_class": StandardisedInputs} if self.teacher_rounds else {}
+            model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
+        model.critic_steps = self.critic_steps
+        return model
 
 
 @dataclass(frozen=True)

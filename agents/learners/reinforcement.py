@@ -182,7 +182,7 @@ class _Pauses(BaseCallback):
             self.monitor.evaluate()
 
     def _on_rollout_end(self) -> None:
-        self.monitor.tell(self.num_timesteps)
+        self.monitor.tell(self.monitor.learner.steps)
 
     def _on_training_end(self) -> None:
         self.monitor.evaluate()

@@ -47,13 +47,13 @@ def main(kind: type[RunConfig], description: str | None) -> None:
 
 
 def begun_options(config: RunConfig) -> dict[str, Any]:
-    """Options that the runs to be resumed were begun with, or resumed with last; none where nothing is resumed.
+    """Options that the runs to be resumed were begun with, or resumed with last; where nothing is resumed, the usual.
 
     Raises:
         ValueError: If the file that notes them is damaged.
     """
     if not config.resume:
-        return {}
+        return config.usual()
     own = ("out", "resume", "overwrite")
     for path, but in (
         (config.out / COMMAND, own),

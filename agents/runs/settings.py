@@ -18,7 +18,7 @@ from baselines.tools.command import require_bounds
 from baselines.tools.options import Groups
 from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT, Sensors
-from beltarm_env.task.ranges import SHIFT_RANGES
+from beltarm_env.task.ranges import training_ranges
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 from beltarm_env.task.shift import MOST_MOVES
 
@@ -35,8 +35,8 @@ MAY_CHANGE = (
 def task_of(
     moves: int, sensors: Sensors = "encoder", randomization: Literal["train", "ideal"] = "train"
 ) -> dict[str, Any]:
-    """Arguments of `BeltArmVectorEnv`: for one move arms of `TRAIN_RANGES`, for several those of `SHIFT_RANGES`."""
-    ranges = SHIFT_RANGES if moves > 1 and randomization == "train" else randomization
+    """Arguments of `BeltArmVectorEnv`; arms for training are of the `training_ranges` of so many moves."""
+    ranges = training_ranges(moves) if randomization == "train" else randomization
     return {"randomization": ranges, "moves": moves, "sensors": sensors}
 
 
@@ -95,6 +95,10 @@ class RunConfig(WithStorage):
     """Continue the run in --out from its last checkpoint."""
     overwrite: bool = False
     """Delete the run in --out and start again."""
+
+    def usual(self) -> dict[str, Any]:
+        """Options that stand, on the command line, for those not given, because of one that is; else its defaults."""
+        return {}
 
     def make_learner(self) -> Learner:
         """Make an untrained learner."""

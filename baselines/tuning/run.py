@@ -28,6 +28,7 @@ from baselines.tuning.search import SearchProgress, SearchResult, search_in, spl
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
 from beltarm_env.task.seeds import GAIN_CHOICE
+from beltarm_env.task.shift import MOST_MOVES
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class TuningConfig(WithStorage):
     budget: int = 48_000_000
     """Simulated samples for each controller. A run of `train/ppo.py` takes half as many; the gains in
     baselines/gains.json were found with 8 million."""
+    moves: int = 1
+    """Moves of each arm, in a row. `adaptive` was tuned with 4, the others with single moves."""
     seed: int = 0
     """Seed of the optimiser. The arms are the same for every seed."""
     out: Path = FILE
@@ -78,8 +81,8 @@ class TuningConfig(WithStorage):
         Raises:
             ValueError: If an option is out of range, a name unknown, or there is nothing to do.
         """
-        split_budget(self.budget)
-        require_bounds(self, seed=(0, None))
+        require_bounds(self, seed=(0, None), moves=(1, MOST_MOVES))
+        split_budget(self.budget, self.moves)
         self.check_engine()
         if self.all == bool(self.names):
             raise ValueError(f"name controllers to tune or give --all, not both; there are {', '.join(TUNABLE)}")
@@ -131,7 +134,7 @@ def tune(config: TuningConfig, console: Console) -> None:
         for name in names:
             note_options(config.noted(name), config)
         console.print(f"searching with {config.budget} samples for each: {', '.join(names)}", soft_wrap=True)
-        how = {"budget": config.budget, "seed": config.seed, "condition": config.condition}
+        how = {"budget": config.budget, "seed": config.seed, "condition": config.condition, "moves": config.moves}
         searches = {
             name: workplace.task(name, config.journals, partial(search_in, name, **how), Path(f"{name}.journal"))
             for name in names
@@ -173,6 +176,7 @@ def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResul
         "seed": config.seed,
         "budget": config.budget,
         **effort,
+        "moves": config.moves,
         "measured_on": f"{found.arms} arms of the training ranges, seeds from {GAIN_CHOICE.first}",
         "date": datetime.now(UTC).date().isoformat(),
         "version": __version__,

@@ -1,9 +1,10 @@
 """Search for a controller's gains: one optimiser, one set of arms, one objective and one budget for all of them.
 
-**Objective.** The mean episode cost (`beltarm_env.task.cost`) over arms of the training ranges with random moves. An
-arm that leaves its workspace is charged as everywhere; a controller that fails counts as the highest cost there is.
-No motor is to be hammered: an arm whose torque reverses more than ten times a second, by over 10 % of its limit, is
-charged its cost in proportion (`charged`).
+**Objective.** The mean cost of a move (`beltarm_env.task.cost`) over arms of the training ranges, with one random move
+each or several in a row. An arm that leaves its workspace is charged as everywhere; a controller that fails counts as
+the highest cost there is. No motor is to be hammered: in single moves an arm whose torque reverses more than ten times
+a second, by over 10 % of its limit, is charged its cost in proportion (`charged`). In shifts the comparison's own cost
+counts alone: their motors give before they slip, and all that compensates friction reverses there more often.
 
 **Search.** A tree-structured Parzen estimator [1] proposes gains, the untuned ones first. Every trial meets the same
 arms in the same order, so that trials are compared arm by arm. On n arms, with differences d_i in cost to the best,
@@ -52,18 +53,17 @@ from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.ranges import training_ranges
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
 RUNGS = (32, 64, 128)
-"""Arms that a trial has run on when it is compared with the best; after the last it is complete."""
+"""Arms, or shifts, that a trial has run on when it is compared with the best; after the last it is complete."""
 SIGNIFICANCE = 0.1
 """Level p of the test by which a trial is pruned."""
 FINALISTS = 7
 MOST_REVERSALS = 10.0
 """Of an arm's torque [1/s], beyond which its cost is charged in proportion."""
 MAX_CHOICE_ARMS = 1000
-MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
-"""Steps for one trial and a choice."""
 MAX_REFUSED = 2000
 """Proposals that fall short of the margins, after which a search ends."""
 WORST = MAX_COST * EPISODE_STEPS
@@ -96,15 +96,20 @@ class SearchResult:
     seconds: float  # of trials and choice
 
 
-def split_budget(budget: int) -> tuple[int, int]:
+def least_budget(moves: int = 1) -> int:
+    """Steps for one trial and a choice, on arms with some moves each."""
+    return RUNGS[-1] * moves * EPISODE_STEPS * 5 // 4
+
+
+def split_budget(budget: int, moves: int = 1) -> tuple[int, int]:
     """Divide a budget: steps of the search, and arms on which each finalist and the untuned gains run in the choice.
 
     Raises:
         ValueError: If the budget is too small.
     """
-    if budget < MIN_BUDGET:
-        raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
-    each = (FINALISTS + 1) * EPISODE_STEPS
+    if budget < (least := least_budget(moves)):
+        raise ValueError(f"--budget must be at least {least} steps, enough for one trial, got {budget}")
+    each = (FINALISTS + 1) * moves * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
     return budget - arms * each, arms
 
@@ -147,14 +152,17 @@ def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
     return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
 
 
-def open_search(kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None) -> optuna.Study:
+def open_search(
+    kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None, moves: int = 1
+) -> optuna.Study:
     """Open the study of a search, or begin one with the untuned gains; what was interrupted is to be repeated.
 
     Raises:
-        ValueError: If the journal is damaged, or was begun with another seed, other gains or other margins.
+        ValueError: If the journal is damaged, or was begun with another seed, other gains, margins or moves.
     """
     begun = {
         "seed": seed,
+        "moves": moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
         "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
     }
@@ -172,6 +180,7 @@ def search(
     journal: Path,
     channel: Channel | None = None,
     condition: MarginCondition | None = None,
+    moves: int = 1,
 ) -> SearchResult:
     """Search for gains, resuming from the journal.
 
@@ -182,6 +191,7 @@ def search(
         journal: File in which every trial is noted as it runs.
         channel: Gets a `SearchProgress` after every batch of arms.
         condition: Margins that the loop has to keep; None for none.
+        moves: Of each arm, in a row.
 
     Raises:
         ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
@@ -189,15 +199,15 @@ def search(
         OSError: If the journal cannot be written.
         Interrupted: If asked to stop; the journal is in order.
     """
-    steps, arms = split_budget(budget)
+    steps, arms = split_budget(budget, moves)
     with own(journal), errors_about(journal):
-        study = open_search(tunable.gains, seed, journal, condition)
+        study = open_search(tunable.gains, seed, journal, condition, moves)
         if study.user_attrs.get("budget") == budget:
             return SearchResult(**study.user_attrs["found"])
-        run = _Search(tunable, study, channel or Channel(), condition)
+        run = _Search(tunable, study, channel or Channel(), condition, moves)
         if run.steps > steps:
             raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
-        while run.steps + RUNGS[-1] * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
+        while run.steps + RUNGS[-1] * moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
             run.trial(seed)
         found = run.choose(arms)
         study.set_user_attr("found", asdict(found))
@@ -206,10 +216,10 @@ def search(
 
 
 def search_in(
-    name: str, folder: Path, channel: Channel, *, budget: int, seed: int, condition: MarginCondition | None
+    name: str, folder: Path, channel: Channel, *, budget: int, seed: int, condition: MarginCondition | None, moves: int
 ) -> SearchResult:
     """Search for a controller's gains with the journal in a folder, as a task; see `search`."""
-    return search(TUNABLE[name], budget, seed, folder / f"{name}.journal", channel, condition)
+    return search(TUNABLE[name], budget, seed, folder / f"{name}.journal", channel, condition, moves)
 
 
 class _Search:
@@ -220,12 +230,13 @@ class _Search:
     """
 
     def __init__(
-        self, tunable: Tunable, study: optuna.Study, channel: Channel, condition: MarginCondition | None
+        self, tunable: Tunable, study: optuna.Study, channel: Channel, condition: MarginCondition | None, moves: int
     ) -> None:
         self._tunable, self._study, self._channel, self._condition = tunable, study, channel, condition
+        self._moves = moves
         self._untuned = asdict(tunable.gains())
         self._space = space(tunable.gains)
-        self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
+        self.steps = moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
         self.refused = len(self._trials(TrialState.PRUNED))
         if condition is not None and condition.shortfall(tunable.controller(tunable.gains())) > 0:
             least = least_margins(tunable.controller(tunable.gains()), condition.arms)
@@ -295,13 +306,15 @@ class _Search:
         )
 
     def _costs(self, params: dict[str, float], seed: int, arms: int) -> Floats:
-        """Episode costs of arms with consecutive seeds."""
-        self.steps += arms * EPISODE_STEPS
+        """Costs of arms with consecutive seeds, averages over their moves."""
+        moves = self._moves
+        self.steps += arms * moves * EPISODE_STEPS
         try:
             controller = self._tunable.controller(rounded(params, self._tunable.gains))
             with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
-                run = rollout(controller, arms, seed=seed, randomization="train")
-            costs = np.minimum(charged(run.cost, run.metrics()["torque_reversals_hz"]), WORST)
+                run = rollout(controller, arms, seed=seed, randomization=training_ranges(moves), moves=moves)
+            costs = charged(run.cost, run.metrics()["torque_reversals_hz"]) if moves == 1 else run.cost
+            costs = np.minimum(costs.reshape(moves, arms).mean(axis=0), WORST)
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error

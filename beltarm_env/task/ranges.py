@@ -70,6 +70,12 @@ TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 SHIFT_RANGES: Ranges = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
 """Ranges of the arms of a working shift, whose motors give before they slip: of training, and of the split `shift`."""
 
+
+def training_ranges(moves: int) -> Ranges:
+    """Return the ranges that tuning and training draw from: `TRAIN_RANGES` for one move, `SHIFT_RANGES` for several."""
+    return SHIFT_RANGES if moves > 1 else TRAIN_RANGES
+
+
 RANGES: dict[str, Ranges] = {"off": {}, "ideal": IDEAL_RANGES, "train": TRAIN_RANGES}
 """By the word that users give as `randomization`."""
 

@@ -138,7 +138,8 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
 
 def over_moves(values: Floats, num_moves: int) -> Floats:
     """Average a metric over the moves of each scenario: shape (n,), from that of a `Recording`, (moves * n,)."""
-    return values.reshape(num_moves, -1).mean(axis=0, dtype=np.float64)
+    by_scenario = np.ascontiguousarray(values.reshape(num_moves, -1).T)  # so that a sum does not depend on the others
+    return by_scenario.mean(axis=1, dtype=np.float64)
 
 
 def _require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:

@@ -16,8 +16,8 @@ from typing import Any
 _NAMED = "a controller is named package.module:Class or path/to/file.py:Class"
 _EXAMPLE = "an example is docs/examples/my_controller.py"
 TIME_LIMIT, LONGEST = 3600.0, 7 * 86_400
-"""Time that a controller may take for a batch of episodes [s], by default and at most. In the default 500 arms run one
-after the other in real time, twice."""
+"""Time that a controller may take for a batch of episodes [s], by default and at most. In the default 200 shifts
+run one after the other in real time, and a quarter more."""
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 

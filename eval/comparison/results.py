@@ -23,7 +23,7 @@ from eval.comparison.sets import SetLabel
 
 MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
 """Module and functions that measure a comparison, for the digest of the code."""
-PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
+PAIRED_METRICS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 MOSTLY = 0.95
 """Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
 arrives on easy arms alone looks better than it is."""
@@ -43,6 +43,7 @@ class MethodOutcome:
     metrics: Metrics  # each (seeds, episodes)
     estimates: dict[str, statistics.Estimate]  # of `OF_ARRIVED` where all seeds arrive; not numbers for none
     action_times: tuple[float, float]  # median, 99th percentile [us]
+    moves: int = 1  # of a scenario; metrics are averages over them
 
     @property
     def name(self) -> str:
@@ -66,14 +67,14 @@ class MethodOutcome:
 
     @property
     def failures(self) -> dict[str, int]:
-        """Number of runs, of those that never settled, and of those that left the workspace."""
-        settled = self.metrics["failure_share"]
+        """Number of moves that were run, of those that never settled, and of runs that left the workspace."""
+        unsettled = self.metrics["failure_share"] * self.moves
         left = self.metrics[LEFT]
-        return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
+        return {"runs": unsettled.size * self.moves, "not_settled": round(unsettled.sum()), LEFT: int(left.sum())}
 
     @property
     def not_arrived(self) -> float:
-        """Share of its runs that do not arrive."""
+        """Share of its moves that do not arrive."""
         return float(self.metrics[NOT_ARRIVED].mean())
 
     @property
@@ -84,7 +85,7 @@ class MethodOutcome:
 
 
 def arrived(metrics: Metrics) -> NDArray[np.bool_]:
-    """Scenarios in which all training seeds of a method arrive, shape (episodes,)."""
+    """Scenarios in which all training seeds of a method arrive, in every move; shape (episodes,)."""
     return ~np.any(metrics[NOT_ARRIVED], axis=0)
 
 

@@ -124,7 +124,7 @@ def compare(
         raise error
     estimates = estimated([metrics for _, _, metrics, _ in measured])
     outcomes = [
-        MethodOutcome(method, split, metrics, of_metrics, action_times)
+        MethodOutcome(method, split, metrics, of_metrics, action_times, len(scenarios.splits[split].tables))
         for (method, split, metrics, action_times), of_metrics in zip(measured, estimates, strict=True)
     ]
     origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
@@ -140,6 +140,9 @@ def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioS
     more += sorted({row["split"] for row in rows} - {*scenarios.splits})
     most = max((row["episodes"] for row in rows), default=0)
     more += [f"{most} scenarios per split"] if most > episodes else []
+    there = {split.name: len(split.tables) for split in scenarios.splits.values()}
+    longer = max((row["moves"] for row in rows if row["moves"] > there.get(row["split"], row["moves"])), default=0)
+    more += [f"shifts of {longer} moves"] if longer else []
     if more:
         raise ValueError(
             f"{path} has more ({', '.join(more)}), which this run would lose: give another --out, or remove that file"
@@ -257,7 +260,9 @@ def _claimed_scenarios(claimed: dict[str, Any], path: Path) -> ScenarioSet:
     if commit == "unknown" or commit.endswith("-dirty"):
         raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
     names = list(dict.fromkeys(row["split"] for row in claimed["rows"]))
-    return set_of(claimed, path).only(names, claimed["rows"][0]["episodes"])
+    return set_of(claimed, path).only(
+        names, claimed["rows"][0]["episodes"], max(row["moves"] for row in claimed["rows"])
+    )
 
 
 def _quantities(row: dict[str, Any]) -> dict[str, float]:

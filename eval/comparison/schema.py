@@ -65,6 +65,7 @@ def _row(outcome: MethodOutcome, marks: dict[str, dict[str, Mark]]) -> dict[str,
         "kind": outcome.method.kind,
         "split": outcome.split,
         "episodes": costs.shape[1],
+        "moves": outcome.moves,
         "seeds": outcome.seeds,
         "median_seed": outcome.median_seed,
         "metrics": {metric: asdict(value) for metric, value in outcome.estimates.items() if isfinite(value.iqm)},
@@ -134,6 +135,7 @@ _ROW = object_of(  # a method on a split
     kind={"enum": list(get_args(Kind))},  # "added": a user's own; "privileged": an oracle, never ranked
     split=TEXT,
     episodes=INTEGER,
+    moves=INTEGER,  # of an episode; metrics are averages over them
     seeds=INTEGER,
     median_seed=INTEGER,  # training seed of median cost
     metrics=object_of((*OF_ARRIVED, NOT_ARRIVED, "still_s"), **_METRICS),  # `OF_ARRIVED` where all seeds arrive

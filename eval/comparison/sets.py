@@ -41,6 +41,7 @@ from beltarm_env.task.seeds import (
 from eval.comparison.splits import (
     EDITION,
     EPISODES,
+    MOVES,
     SPLITS,
     VERSION,
     Split,
@@ -95,12 +96,17 @@ class ScenarioSet:
     label: SetLabel
     splits: dict[str, Split]
 
-    def only(self, names: Sequence[str], episodes: int = EPISODES) -> ScenarioSet:
-        """Some of its splits, under the same label; those of a fresh set with more scenarios, if so many are wanted."""
+    def only(self, names: Sequence[str], episodes: int = EPISODES, moves: int = MOVES) -> ScenarioSet:
+        """Some of its splits, under the same label; those of a fresh set with more scenarios, if so many are wanted.
+
+        Shifts have only their first `moves`.
+        """
         if episodes <= EPISODES:
-            return ScenarioSet(self.label, {name: self.splits[name] for name in names})
-        number = int(self.label.name.removeprefix("seed "))
-        return ScenarioSet(self.label, {name: fresh_scenarios(number, name, range(episodes)) for name in names})
+            chosen = {name: self.splits[name] for name in names}
+        else:
+            number = int(self.label.name.removeprefix("seed "))
+            chosen = {name: fresh_scenarios(number, name, range(episodes)) for name in names}
+        return ScenarioSet(self.label, {name: split.shortened(moves) for name, split in chosen.items()})
 
 
 def make_set(name: str, splits: dict[str, Split]) -> ScenarioSet:

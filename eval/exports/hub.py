@@ -23,7 +23,6 @@ from agents.policy.card import ENVIRONMENT, Offer, card, model_name
 from agents.runs.command_line import compare_command
 from beltarm_env.rollout import rollout
 from eval.comparison.sets import development_set
-from eval.comparison.splits import main_split
 from eval.exports.folder import require_free, write_folder
 from eval.exports.scores import Scores, eval_results, markdown, scores_of
 from eval.exports.source import TEMPLATES
@@ -145,14 +144,13 @@ def bibtex() -> str:
 
 
 def film_of(policy: Path) -> bytes:
-    """Film of the policy on the first scenario of the development set's main split, as MP4.
+    """Film of the policy on the first single move of the development set, as MP4.
 
     Raises:
         ValueError: If no package is installed that writes it.
     """
     side_by_side.require_writer(Path(FILM))
-    (spec, _), splits = read_spec(policy), development_set().splits
-    split = splits[main_split(list(splits))]
+    (spec, _), split = read_spec(policy), development_set().splits["randomized"]
     motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
     track = side_by_side.Track(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
     with tempfile.TemporaryDirectory() as made:

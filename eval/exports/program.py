@@ -30,7 +30,6 @@ from baselines.tools.command import require_bounds, require_known
 from beltarm_env import ArmParams
 from eval.comparison import custom
 from eval.comparison.sets import development_set
-from eval.comparison.splits import main_split
 from eval.exports.compilers import FLAGS, footprint, native, processors_for
 from eval.exports.folder import require_free, write_export
 from eval.exports.in_the_loop import compare
@@ -85,8 +84,7 @@ def export(options: Options) -> None:
     print(f"written to {options.out}: {loop.name}.h, {loop.name}.c and what goes with them")
     if not options.check:
         return
-    splits = development_set().splits
-    split, controller = splits[main_split(list(splits))], controller_of(options.source, options.guard)
+    split, controller = development_set().splits["randomized"], controller_of(options.source, options.guard)
     agreement = compare(options.out, loop, controller, split, options.episodes)
     print(agreement.words())
     for core in processors_for(loop.identifies):

@@ -18,6 +18,7 @@ from baselines.tools.provenance import commit
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
 from beltarm_env.rollout import rollout
+from eval.comparison.cache import over_moves
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.schema import AGAINST, read_results
@@ -108,9 +109,9 @@ def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     scenarios = set_of(results, path)
     scores = Scores(results, sha256_of(path), method, np.empty(0))
     home, row = next(iter(scores.rows.items()))
-    arguments = scenarios.splits[home].arguments(slice(row["episodes"]))
-    controller, sensors = load_controller(policy), read_spec(policy)[0].sensors
-    return replace(scores, rewards=-rollout(controller, row["episodes"], sensors=sensors, **arguments).cost)
+    arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(row["episodes"]))
+    run = rollout(load_controller(policy), row["episodes"], sensors=read_spec(policy)[0].sensors, **arguments)
+    return replace(scores, rewards=-over_moves(run.cost, run.num_moves))
 
 
 def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | None:

@@ -27,6 +27,7 @@ from baselines.tools.files import write_text
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.metrics import ARRIVAL_BOUND, SETTLING_BAND, heading
 from beltarm_env.rollout import Recording
+from beltarm_env.task.cost import STILL_BAND
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 from eval.comparison.check import PERIOD_US
 from eval.comparison.results import PAIRED_METRICS, Comparison
@@ -53,9 +54,11 @@ from eval.report.table import Record, Results, estimate, to_terminal
 from eval.report.text import degrees
 from eval.report.verdict import verdict
 
-_INTERVALS = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
+_INTERVALS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 _MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
 _ACROSS = 3  # splits side by side
+_ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
+_DRAWN = 1000.0  # cost up to which a method has bars; others would hide all differences
 
 
 def publish(
@@ -102,7 +105,11 @@ def plots(results: Results, traces: Sequence[Scene]) -> dict[str, Callable[[], F
     colours = colours_of(results, traces)
     note = f"Scenarios of the {results.label.title}"
     recipes = {name: partial(_motions, draw, traces, colours, note) for name, draw in _MOTIONS.items() if traces}
-    return {**recipes, "intervals.png": partial(_intervals, results, note)}
+    return {
+        **recipes,
+        "answer.png": partial(_answer, results, note),
+        "intervals.png": partial(_intervals, results, note),
+    }
 
 
 def _motions(draw: Draw, traces: Sequence[Scene], colours: dict[str, str], note: str) -> Figure:
@@ -127,6 +134,31 @@ def _finish(figure: Figure, note: str, axes: Sequence[Axes]) -> None:
     for axis in axes:
         entries |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     figure.legend(entries.values(), entries, loc="outside lower center", ncols=6, frameon=False)
+
+
+def _answer(results: Results, note: str) -> Figure:
+    """Draw the time until still and the cost on the main split as bars with their intervals, the best method on top."""
+    rows = [row for row in reversed(results.on(results.main)) if estimate(row, "cost").iqm < _DRAWN]
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 0.9 + 0.3 * len(rows)), layout="constrained", sharey=True)
+    for axis, name, scale, title in zip(axes, ("still_s", "cost"), (1000, 1), _ANSWERS, strict=True):
+        for height, row in enumerate(rows):
+            value = estimate(row, name)
+            ends = scale * np.abs([[value.iqm - value.low], [value.high - value.iqm]])
+            style = {"color": OF_KIND[row["kind"]], "label": row["kind"], "error_kw": {"lw": 1.0}}
+            axis.barh(height, scale * value.iqm, 0.66, xerr=ends, **style)
+            axis.annotate(
+                f"{scale * value.iqm:.0f}",
+                (scale * value.high, height),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="center",
+            )
+        axis.set_xlabel(title)
+        axis.margins(x=0.12)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_yticks(range(len(rows)), [row["method"] for row in rows])
+    _finish(figure, f"{note}, {results.main}: interquartile means with 95 % intervals", list(axes))
+    return figure
 
 
 def _intervals(results: Results, note: str) -> Figure:

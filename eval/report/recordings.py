@@ -11,6 +11,7 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+from eval.comparison.cache import over_moves
 from eval.comparison.methods import Method
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.rollouts import Failure, calls_side_by_side, run_controller
@@ -27,7 +28,7 @@ class Scene:
     title: str  # why it was chosen
     split: str
     scenario: int
-    motions: dict[str, Recording] = field(default_factory=dict)  # by method, each of one arm
+    motions: dict[str, Recording] = field(default_factory=dict)  # by method, each of one arm, and of one of its moves
 
 
 def record_scenes(
@@ -115,7 +116,8 @@ def record(
 ) -> tuple[list[Scene], list[Failure]]:
     """Record some methods on some scenarios, each method by its training seed of median cost on the main split.
 
-    A drawn run is the run that was measured: a recording whose cost is another one is a failure.
+    A drawn run is the run that was measured: a recording whose cost is another one is a failure. Of a shift the last
+    move that carries a part is drawn: by then the arm is known.
 
     Returns:
         The scenes with the motions of the methods that ran on their splits; and failures.
@@ -135,9 +137,17 @@ def record(
     for k, scene in enumerate(scenes):
         of_scene = {name: of_method[k] for name, of_method in results.items() if k in of_method}
         failures += [run for run in of_scene.values() if isinstance(run, Failure)]
-        motions = {name: run for name, run in of_scene.items() if isinstance(run, Recording)}
-        recorded.append(replace(scene, motions=motions))
+        count = len(splits[scene.split].tables)
+        move = loaded(count)
+        motions = {name: run.of_move(move) for name, run in of_scene.items() if isinstance(run, Recording)}
+        title = f"{scene.title}, move {move + 1} of {count}" if count > 1 else scene.title
+        recorded.append(replace(scene, title=title, motions=motions))
     return recorded, failures
+
+
+def loaded(count: int) -> int:
+    """Number of the last move, of so many, that carries a part."""
+    return (count - 1) // 2 * 2
 
 
 class _Run(NamedTuple):
@@ -173,7 +183,7 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
         together = run_controller(batch[0].method, batch[0].split.name, playing)
         for arm, (k, run) in enumerate(zip(group, batch, strict=True)):
             recording = together if isinstance(together, Failure) else together.arm(arm)
-            if isinstance(recording, Failure) or recording.cost[0] != run.costs[run.place]:
+            if isinstance(recording, Failure) or _cost(recording) != run.costs[run.place]:
                 where = f"on scenario {run.number}"
                 recording = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
             results[keys[k]] = recording
@@ -188,9 +198,14 @@ def play(method: Method, split: Split, count: int) -> Recording:
 def _as_measured(run: _Run) -> Recording:
     """Record a run among those of its batch; raises ValueError where it is not the one that was measured."""
     cost, again = run.costs[run.place], play(run.method, run.split, len(run.costs)).arm(run.place)
-    if again.cost[0] != cost:
-        raise ValueError(f"it cost {cost:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
+    if _cost(again) != cost:
+        raise ValueError(f"it cost {cost:.9g}, and costs {_cost(again):.9g} when run again: it is not drawn")
     return again
+
+
+def _cost(recording: Recording) -> float:
+    """Cost of a recording of one arm, averaged over its moves."""
+    return float(over_moves(recording.cost, recording.num_moves)[0])
 
 
 def reference_angles(recording: Recording) -> np.ndarray:

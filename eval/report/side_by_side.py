@@ -27,7 +27,7 @@ from beltarm_env.rollout import Recording
 from eval.comparison.methods import Method
 from eval.comparison.rollouts import Failure, run_controller
 from eval.comparison.splits import Split
-from eval.report.recordings import play, reference_angles
+from eval.report.recordings import loaded, play, reference_angles
 
 _COLUMN = 480  # pixels across of one arm
 _PICTURE = _COLUMN * HEIGHT // WIDTH
@@ -65,7 +65,7 @@ class Track:
 
 
 def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recording:
-    """Run the first controller of a method, shown under a name, on one scenario.
+    """Run the first controller of a method, shown under a name, on one scenario; of a shift its last loaded move.
 
     Raises:
         ValueError: If it fails.
@@ -74,7 +74,7 @@ def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recordi
     motion = run_controller(method, split.name, partial(play, method, alone, 1))
     if isinstance(motion, Failure):
         raise ValueError(f"{name} failed on scenario {scenario} of {split.name}: {motion.message}")
-    return motion
+    return motion.of_move(loaded(motion.num_moves))
 
 
 def require_writer(path: Path) -> None:

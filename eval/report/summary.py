@@ -19,9 +19,9 @@ from eval.report.table import Results, Table, difference_texts, to_markdown
 from eval.report.text import markdown_table
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}
-_README = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", metrics.NOT_ARRIVED, *metrics.TORQUE_QUALITY)
 _ANSWERED = {
     "cost": "cost",
+    "still_s": "time until still (s)",
     "tip_rms_mm": "error of the arm's end, RMS (mm)",
     "residual_pp_mm": "vibration after the move, peak to peak (mm)",
 }
@@ -50,8 +50,8 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         "note": results.note,
         "costs": to_markdown(costs),
         "plain_costs": to_markdown(costs, intervals=False, seeds=True),
-        "plain_more": to_markdown(results.of_split(results.main, _README), intervals=False, seeds=True),
         "answer": to_markdown(_answer(results), intervals=False),
+        "headline": _headline(results),
         "oracle": bool(costs.unranked),
         "tails": to_markdown(results.tails()),
         "torques": to_markdown(results.torques()),
@@ -93,6 +93,16 @@ def _pairs(results: Results, split: str) -> str:
     ]
     titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (metrics.heading(name), "improves"))]
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS)) if rows else ""
+
+
+def _headline(results: Results) -> dict[str, Any]:
+    """Numbers of the primary comparison on the main split: its tests by metric, and the rows of both methods."""
+    tests = {row["metric"]: row for row in results.content["primary"] if row["split"] == results.main}
+    if "still_s" not in tests:
+        return {}
+    pair = (tests["cost"][role] for role in ("challenger", "classical"))
+    challenger, classical = (results.records[name, results.main]["metrics"]["still_s"]["iqm"] for name in pair)
+    return {**tests, "still": (1000 * challenger, 1000 * classical)}
 
 
 def _answer(results: Results) -> Table:

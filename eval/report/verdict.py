@@ -1,10 +1,11 @@
 """Verdict of a comparison: its numbers here, its sentences in `verdict.txt.j2`.
 
 One question comes first: does the best learned method beat the best classical controller? Both were chosen on the
-development set (`eval.comparison.methods.PRIMARY`), and they are compared scenario by scenario on every split, in the
-cost and in what the arm's end does. "Better" takes both averages: the difference of interquartile means outlives Holm's
-correction over all splits, and the 95 % interval of the mean difference is clear of zero. An interquartile mean alone
-drops the worst quarter of the arms. docs/benchmark/protocol.md fixed this before the test scenarios were drawn.
+development set (`eval.comparison.methods.PRIMARY`), and they are compared scenario by scenario on every split, in two
+primary quantities, the cost and the time until the arm's end is still, and in what else it does. "Better" takes both
+averages: the difference of interquartile means outlives Holm's correction over all splits, and the 95 % interval of the
+mean difference is clear of zero. An interquartile mean alone drops the worst quarter of the arms.
+docs/benchmark/protocol.md fixed this before the test scenarios were drawn.
 
 Vibration is compared where both arrive: a method that never moves does not vibrate. Fewer than
 `eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
@@ -20,7 +21,8 @@ from typing import Any, Literal
 import jinja2
 
 from baselines import CONTROLLERS
-from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, NOT_ARRIVED
+from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
+from beltarm_env.task.cost import STILL_BAND
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
@@ -30,11 +32,11 @@ Result = Literal["better", "worse", "open"]
 _PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
 _WORDS: dict[str, Any] = {
-    "METRICS": METRICS,
     "KINDS": {"learned": "learned method", "added": "added controller"},
     "practically_equal": _PRACTICALLY_EQUAL,
     "least": LEAST_SCENARIOS,
     "arrival_mm": f"{1000 * ARRIVAL_BOUND:g}",
+    "still_mm": f"{1000 * STILL_BAND:g}",
 }
 _TEMPLATE = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent),

@@ -48,7 +48,7 @@ OTHERS = (
     Page(
         "comparison",
         "eval.report.summary",
-        ("eval/compare.py", "--episodes", "500"),
+        ("eval/compare.py",),
         STARTS,
         MEASURES,
         "results.json",

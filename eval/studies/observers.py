@@ -47,8 +47,8 @@ class Options(StudyOptions):
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
-    episodes: int = 100
-    """Scenarios per split, 4 to 500."""
+    episodes: int = 24
+    """Scenarios per split, 4 to 200."""
 
 
 class FilterAlone:
@@ -173,11 +173,13 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
     """
     watched = _Watched(Source(acting).controller(), known)
     run = rollout(watched, episodes, **split.arguments(slice(episodes)))
-    if not run.finished.any():
+    moves = [run.of_move(move) for move in range(run.num_moves)]
+    finished = moves[-1].finished
+    if not finished.any():
         raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
-    true = truth(run, HOLD)[:, run.finished]
+    true = np.concatenate([truth(move, HOLD) for move in moves])[:, finished]
     return {
-        name: score([Estimate(*(part[run.finished] for part in estimate)) for estimate in estimates], true)
+        name: score([Estimate(*(part[finished] for part in estimate)) for estimate in estimates], true)
         for name, estimates in watched.estimates.items()
     }
 

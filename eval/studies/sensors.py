@@ -19,6 +19,7 @@ from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Controller, rollout
+from eval.comparison.cache import over_moves
 from eval.comparison.check import action_times
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
@@ -47,15 +48,15 @@ class Options(StudyOptions):
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
-    episodes: int = 60
-    """Scenarios per split, 4 to 500."""
+    episodes: int = 24
+    """Scenarios per split, 4 to 200."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Result of one controller with one set of sensors on one split."""
 
-    metrics: dict[str, Floats]  # each of shape (episodes,)
+    metrics: dict[str, Floats]  # each of shape (episodes,), averaged over the moves
     left: int  # arms that left the workspace
     torsion: float  # RMS error of the estimated torsion, over all samples and arms [rad]
 
@@ -108,9 +109,11 @@ def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
     recorder = Recorder(controller(name, tier), _torsion)
     run = rollout(recorder, episodes, sensors=tier, **split.arguments(slice(episodes)))
     metrics = run.metrics()
-    errors = np.array(recorder.notes[1:]) - run.state[: len(recorder.notes) - 1, :, 2]
-    chosen_metrics = {metric: metrics[metric] for metric in (*COMPARED, *TORQUE_QUALITY)}
-    return Outcome(chosen_metrics, int((~run.finished).sum()), float(np.sqrt(np.mean(errors**2))))
+    moves = [run.of_move(move) for move in range(run.num_moves)]
+    torsion = np.concatenate([move.state[:, :, 2] for move in moves])
+    errors = np.array(recorder.notes[1:]) - torsion[:-1]
+    averages = {metric: over_moves(metrics[metric], run.num_moves) for metric in (*COMPARED, *TORQUE_QUALITY)}
+    return Outcome(averages, int((~moves[-1].finished).sum()), float(np.sqrt(np.mean(errors**2))))
 
 
 def _torsion(memory: Any) -> Floats:

@@ -198,8 +198,8 @@ class TestInTheLoop:
                 return np.full((len(observation), 1), np.nan, np.float32), None
 
         policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
-        run = rollout(GuardedResidualController(policy, servo_for("paper")), 2, **ARMS)
-        base = rollout(CONTROLLERS["paper"](), 2, **ARMS)
+        run = rollout(GuardedResidualController(policy, servo_for("adaptive")), 2, **ARMS)
+        base = rollout(CONTROLLERS["adaptive"](), 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 
 

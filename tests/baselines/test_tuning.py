@@ -26,11 +26,11 @@ from baselines.loops.condition import MarginCondition
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning.search import (
-    MIN_BUDGET,
     RUNGS,
     SearchProgress,
     estimate,
     hopeless,
+    least_budget,
     open_search,
     search,
     split_budget,
@@ -42,6 +42,7 @@ from beltarm_env.engine.library import ANNOUNCEMENT
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = tuple(TUNABLE)[:2]
 BATCH = RUNGS[0] * EPISODE_STEPS
+MIN_BUDGET = least_budget()
 
 
 @dataclass(frozen=True)
@@ -118,15 +119,16 @@ def interrupted_after(calls: int, reports: list[SearchProgress] | None = None) -
     return Channel(interrupt)
 
 
-def test_a_search_keeps_its_budget_helps_and_is_that_of_its_seed(tmp_path: Path):
-    budget, reported = 3 * MIN_BUDGET + 1, list[SearchProgress]()
+@pytest.mark.parametrize("moves", [1, 2])
+def test_a_search_keeps_its_budget_helps_and_is_that_of_its_seed(moves: int, tmp_path: Path):
+    budget, reported = 3 * least_budget(moves) + 1, list[SearchProgress]()
     Counting.steps = 0
-    first = search(KIND, budget, 3, tmp_path / "a", Channel(reported.append))
+    first = search(KIND, budget, 3, tmp_path / "a", Channel(reported.append), moves=moves)
     assert first.steps == Counting.steps == reported[-1].steps <= budget
-    assert split_budget(budget)[0] - RUNGS[-1] * EPISODE_STEPS < reported[-1].steps
+    assert split_budget(budget, moves)[0] - RUNGS[-1] * moves * EPISODE_STEPS < reported[-1].steps
     assert first.trials == reported[-1].trials and first.failed == 0
     assert first.cost < first.cost_untuned and 0 < first.pruned < first.trials
-    second = search(KIND, budget, 3, tmp_path / "b")
+    second = search(KIND, budget, 3, tmp_path / "b", moves=moves)
     assert (first.gains, first.cost, first.trials) == (second.gains, second.cost, second.trials)
 
 

@@ -31,8 +31,9 @@ from eval.report.publish import LARGEST
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
 EPISODES, BOTH = 20, ("nominal", "sensing")
-METHODS = ["paper", "zvd", "ppo", "privileged"]
-CHOSEN = ("--methods", *METHODS, "--episodes", str(EPISODES))
+MOVES = {"nominal": 1, "sensing": 2}
+METHODS = ["paper", "adaptive", "ppo", "privileged"]
+CHOSEN = ("--methods", *METHODS, "--quick")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def results(compared: tuple[Path, str]) -> dict[str, Any]:
 
 def test_everything_is_written_and_names_the_scenarios(compared: tuple[Path, str], results: dict[str, Any]):
     folder, output = compared
-    pictures = {"tip_error.png", "residual.png", "torque.png", "intervals.png"}
+    pictures = {"answer.png", "tip_error.png", "residual.png", "torque.png", "intervals.png"}
     others = {"results.json", "episodes.csv", "page.md", "report.html", "parts"}
     assert {path.name for path in folder.iterdir()} == others | pictures
     assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
@@ -69,15 +70,17 @@ def test_everything_is_written_and_names_the_scenarios(compared: tuple[Path, str
 
 
 def test_rows_of_the_results(results: dict[str, Any]):
-    kinds = {"paper": "classical", "zvd": "classical", "ppo": "learned", "privileged": "privileged"}
+    kinds = {"paper": "classical", "adaptive": "classical", "ppo": "learned", "privileged": "privileged"}
     assert [(row["method"], row["split"]) for row in results["rows"]] == [
         (method, split) for split in BOTH for method in METHODS
     ]
     for row in results["rows"]:
         assert row["kind"] == kinds[row["method"]]
         assert (row["episodes"], row["seeds"]) == (EPISODES, SEEDS if row["method"] == "ppo" else 1)
-        assert row["failures"]["runs"] == EPISODES * row["seeds"] >= row["failures"]["not_settled"]
-        assert bool(row["training"]) == (row["method"] in ("zvd", "ppo"))
+        assert row["moves"] == MOVES[row["split"]]
+        runs = EPISODES * row["seeds"] * row["moves"]
+        assert row["failures"]["runs"] == runs >= row["failures"]["not_settled"]
+        assert bool(row["training"]) == (row["method"] in ("adaptive", "ppo"))
         assert all(name in row["metrics"] for name in TORQUES)
         for value in row["metrics"].values():
             assert value["low"] <= value["iqm"] <= value["high"]
@@ -89,7 +92,7 @@ def test_pairs_of_the_results(results: dict[str, Any], compared: tuple[Path, str
     pairs = [(pair["method"], pair["against"]) for pair in results["paired"] if pair["split"] == "nominal"]
     assert {*pairs} == {*best, ("ppo", "base")}
     for pair in results["paired"]:
-        assert pair["other"] == ("zvd" if pair["against"] == "best classical" else "paper")
+        assert pair["other"] == "adaptive"
         for value in pair["metrics"].values():
             assert 0 < value["p"] <= value["p_holm"] <= 1
             assert 0 <= value["win_rate_low"] <= value["win_rate"] <= value["win_rate_high"] <= 1

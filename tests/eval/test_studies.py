@@ -17,7 +17,7 @@ from eval.studies import _frame, _pages
 NAMES = _frame.names()
 
 
-SLOW = ("loops", "paper", "physics", "tails")
+SLOW = ("loops", "paper", "physics")
 """Studies of which tests of their own run what measures."""
 
 

@@ -12,6 +12,7 @@ from beltarm_env.arrays import Singles
 SHAPES = {
     "student": ActorShape(63, (96,), "relu", gru=96, standardised=True),
     "ppo": ActorShape(63, (256, 256), "relu"),
+    "taught": ActorShape(63, (128, 128), "relu", standardised=True),
     "sac": ActorShape(30, (64, 64), "relu", squashed=True),
     "recurrent": ActorShape(27, (), "relu", lstm=33),
     "tanh": ActorShape(9, (17, 5), "tanh"),
