@@ -47,9 +47,9 @@ class TuningConfig(WithStorage):
     """Tune every controller that has gains to tune."""
     budget: int = 48_000_000
     """Simulated samples for each controller. A run of `train/ppo.py` takes half as many; the gains in
-    baselines/gains.json were found with 8 million."""
-    moves: int = 1
-    """Moves of each arm, in a row. `adaptive` was tuned with 4, the others with single moves."""
+    baselines/gains.json were found with 16 million."""
+    moves: int = 4
+    """Moves of each arm in a row, with parts and motors that give before they slip; 1 for arms of `TRAIN_RANGES`."""
     seed: int = 0
     """Seed of the optimiser. The arms are the same for every seed."""
     out: Path = FILE

@@ -2,9 +2,7 @@
 
 **Objective.** The mean cost of a move (`beltarm_env.task.cost`) over arms of the training ranges, with one random move
 each or several in a row. An arm that leaves its workspace is charged as everywhere; a controller that fails counts as
-the highest cost there is. No motor is to be hammered: in single moves an arm whose torque reverses more than ten times
-a second, by over 10 % of its limit, is charged its cost in proportion (`charged`). In shifts the comparison's own cost
-counts alone: their motors give before they slip, and all that compensates friction reverses there more often.
+the highest cost there is. That is what agents learn for and what the comparison ranks by, and nothing is added to it.
 
 **Search.** A tree-structured Parzen estimator [1] proposes gains, the untuned ones first. Every trial meets the same
 arms in the same order, so that trials are compared arm by arm. On n arms, with differences d_i in cost to the best,
@@ -61,8 +59,6 @@ RUNGS = (32, 64, 128)
 SIGNIFICANCE = 0.1
 """Level p of the test by which a trial is pruned."""
 FINALISTS = 7
-MOST_REVERSALS = 10.0
-"""Of an arm's torque [1/s], beyond which its cost is charged in proportion."""
 MAX_CHOICE_ARMS = 1000
 MAX_REFUSED = 2000
 """Proposals that fall short of the margins, after which a search ends."""
@@ -112,11 +108,6 @@ def split_budget(budget: int, moves: int = 1) -> tuple[int, int]:
     each = (FINALISTS + 1) * moves * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
     return budget - arms * each, arms
-
-
-def charged(costs: Floats, reversals: Floats) -> Floats:
-    """Charge arms whose torque reverses more than `MOST_REVERSALS` times a second [1/s]: in proportion."""
-    return costs * np.maximum(1.0, reversals / MOST_REVERSALS)
 
 
 def estimate(costs: Floats, best: Floats) -> float:
@@ -313,8 +304,7 @@ class _Search:
             controller = self._tunable.controller(rounded(params, self._tunable.gains))
             with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
                 run = rollout(controller, arms, seed=seed, randomization=training_ranges(moves), moves=moves)
-            costs = charged(run.cost, run.metrics()["torque_reversals_hz"]) if moves == 1 else run.cost
-            costs = np.minimum(costs.reshape(moves, arms).mean(axis=0), WORST)
+            costs = np.minimum(run.cost.reshape(moves, arms).mean(axis=0), WORST)
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error
