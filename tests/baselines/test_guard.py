@@ -198,7 +198,8 @@ class TestInTheLoop:
                 return np.full((len(observation), 1), np.nan, np.float32), None
 
         policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
-        run = rollout(GuardedResidualController(policy, servo_for("adaptive")), 2, **ARMS)
+        of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
+        run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
         base = rollout(CONTROLLERS["adaptive"](), 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 

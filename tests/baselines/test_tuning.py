@@ -281,7 +281,7 @@ def tune(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
 def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
     name, out, journal = NAMES[0], tmp_path / "gains.json", tmp_path / "results" / "tune" / f"{NAMES[0]}.journal"
     out.write_text("{}")
-    script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--out", "gains.json"]
+    script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--moves", "1", "--out", "gains.json"]
     process = subprocess.Popen(script, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300
     while not (journal.exists() and '"costs"' in journal.read_text()) and time.monotonic() < deadline:
@@ -290,10 +290,10 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert errors.replace(f"{ANNOUNCEMENT}\n", "") == ""
-    assert f"python baselines/tune.py {name} --out gains.json --resume" in output
+    assert f"python baselines/tune.py {name} --moves 1 --out gains.json --resume" in output
     assert out.read_text() == "{}"
     size, budget = journal.stat().st_size, 2 * MIN_BUDGET
-    words = (name, "--out", "gains.json", "--resume", "--budget", str(budget))
+    words = (name, "--moves", "1", "--out", "gains.json", "--resume", "--budget", str(budget))
     origin = tune(*words)[name]["provenance"]
     assert capsys.readouterr().err == ""
     assert journal.stat().st_size > size and origin["command"] == f"python baselines/tune.py {' '.join(words)}"
@@ -309,7 +309,7 @@ def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
 ):
     """Its budget, the margins that it does without, and the file of its gains."""
     name, other = NAMES
-    options = ("--no-margins", "--budget", str(MIN_BUDGET + BATCH), "--seed", "3", "--out", "gains.json")
+    options = ("--no-margins", "--moves", "1", "--budget", str(MIN_BUDGET + BATCH), "--seed", "3", "--out", "gains.json")
     first = tune(name, *options)[name]
     output, errors = capsys.readouterr()
     assert errors == "" and name in output and str(MIN_BUDGET + BATCH) in output
@@ -317,9 +317,9 @@ def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
     (tmp_path / "gains.json").unlink()
     again = tune(name, "--resume")[name]
     assert again["gains"] == first["gains"]
-    for kept in ("budget", "seed", "steps", "margins"):
+    for kept in ("budget", "moves", "seed", "steps", "margins"):
         assert again["provenance"][kept] == first["provenance"][kept]
-    tune(other, "--no-margins", "--budget", str(MIN_BUDGET), "--out", "gains.json")
+    tune(other, "--no-margins", "--moves", "1", "--budget", str(MIN_BUDGET), "--out", "gains.json")
     capsys.readouterr()
     for words, named in (((name, "--seed", "4"), ["seed"]), (NAMES, NAMES)):
         with pytest.raises(SystemExit, match="2"):
@@ -335,6 +335,7 @@ def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
         ((NAMES[0] + "x",), f"'{NAMES[0]}'"),
         ((NAMES[0], "--budget", "1000"), "--budget"),
         ((NAMES[0], "--seed", "-1"), "--seed"),
+        ((NAMES[0], "--moves", "0"), "--moves"),
         ((NAMES[0], "--resume"), "--resume"),
         ((NAMES[0], "--out", "/dev/null/gains.json"), "/dev/null"),
         ((NAMES[0], "--journals", "/dev/null/x"), "/dev/null/x"),
