@@ -309,7 +309,8 @@ def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
 ):
     """Its budget, the margins that it does without, and the file of its gains."""
     name, other = NAMES
-    options = ("--no-margins", "--moves", "1", "--budget", str(MIN_BUDGET + BATCH), "--seed", "3", "--out", "gains.json")
+    limits = ("--moves", "1", "--budget", str(MIN_BUDGET + BATCH))
+    options = ("--no-margins", *limits, "--seed", "3", "--out", "gains.json")
     first = tune(name, *options)[name]
     output, errors = capsys.readouterr()
     assert errors == "" and name in output and str(MIN_BUDGET + BATCH) in output

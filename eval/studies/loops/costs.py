@@ -3,7 +3,7 @@
 Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits. Gains
 without margins lie in `baselines/gains_without_margins.json`, which only this study reads. They are made by
 
-    python baselines/tune.py --all --no-margins --budget 8000000 --out baselines/gains_without_margins.json
+    python baselines/tune.py --all --no-margins --budget 16000000 --out baselines/gains_without_margins.json
         --journals results/tune-without-margins
 
 with the seed and budget of those with.
@@ -176,7 +176,7 @@ def price(name: str, kept: Floats) -> dict[str, Any] | None:
         kept: What it costs with its own gains, shape (n,).
 
     Returns:
-        None if there are no gains without margins, or they are not comparable: of another law, seed or budget.
+        None if there are no gains without margins, or they are not comparable: of another law or search.
 
     Raises:
         ValueError: If the file of gains is damaged.
@@ -199,9 +199,9 @@ def price(name: str, kept: Floats) -> dict[str, Any] | None:
 
 
 def _search(name: str, path: Path) -> tuple[object, ...] | None:
-    """What makes two searches comparable: names of the gains, seed and budget; None if there was none."""
+    """What makes two searches comparable: names of gains, seed, budget and moves; None if there was none."""
     entry = read_file(path).get(name)
-    return entry and (sorted(entry["gains"]), *(entry["provenance"].get(key) for key in ("seed", "budget")))
+    return entry and (sorted(entry["gains"]), *(entry["provenance"].get(key) for key in ("seed", "budget", "moves")))
 
 
 def worth(by_name: Mapping[str, Floats]) -> list[dict[str, Any]]:
