@@ -9,7 +9,7 @@ heartbeat.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -93,9 +93,18 @@ def open_study(
     return study
 
 
-def ask(study: optuna.Study, space: dict[str, BaseDistribution], seed: int, worker: int = 0) -> Trial:
-    """Begin the next trial: one that waits, or settings that follow from the trials before and the seed alone."""
-    seeds = np.random.SeedSequence([seed, worker, _places(study)])
+def ask(
+    study: optuna.Study,
+    space: dict[str, BaseDistribution],
+    seed: int,
+    worker: int = 0,
+    first: Sequence[dict[str, float]] = (),
+) -> Trial:
+    """Begin the next trial: one that waits, one of the first, or what follows from those before and the seed alone."""
+    at = _places(study)
+    if at < len(first) and not study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
+        study.enqueue_trial(first[at])
+    seeds = np.random.SeedSequence([seed, worker, at])
     study.sampler = optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
     trial = study.ask(space)
     trial.set_user_attr(_WORKER, worker)

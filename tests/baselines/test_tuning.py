@@ -206,7 +206,7 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
     condition, journal, progress = MarginCondition(), tmp_path / "journal", list[SearchProgress]()
     Watched.simulated.clear()
     with pytest.raises(KeyboardInterrupt):
-        search(GUARDED, 3 * MIN_BUDGET, 0, journal, interrupted_after(11, progress), condition)
+        search(GUARDED, 3 * MIN_BUDGET, 0, journal, interrupted_after(8, progress), condition)
     result = search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=condition)
     assert result.refused > 0 and result.steps <= 3 * MIN_BUDGET and set(Watched.simulated) == {0.0}
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
