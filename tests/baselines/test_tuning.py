@@ -205,16 +205,17 @@ def test_controllers_that_fail_are_survived(tmp_path: Path):
 def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_falls_short(tmp_path: Path):
     condition, journal, progress = MarginCondition(), tmp_path / "journal", list[SearchProgress]()
     Watched.simulated.clear()
+    budget = 6 * MIN_BUDGET
     with pytest.raises(KeyboardInterrupt):
-        search(GUARDED, 3 * MIN_BUDGET, 0, journal, interrupted_after(8, progress), condition)
-    result = search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=condition)
-    assert result.refused > 0 and result.steps <= 3 * MIN_BUDGET and set(Watched.simulated) == {0.0}
+        search(GUARDED, budget, 0, journal, interrupted_after(11, progress), condition)
+    result = search(GUARDED, budget, 0, journal, condition=condition)
+    assert result.refused > 0 and result.steps <= budget and set(Watched.simulated) == {0.0}
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
     assert condition.shortfall(Watched(TwoGains(**result.gains))) == 0
-    assert search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=condition) == result
+    assert search(GUARDED, budget, 0, journal, condition=condition) == result
     for other in (None, MarginCondition(modulus=0.3)):
         with pytest.raises(ValueError, match="was started with margins"):
-            search(GUARDED, 3 * MIN_BUDGET, 0, journal, condition=other)
+            search(GUARDED, budget, 0, journal, condition=other)
 
 
 def test_laws_of_the_race():
