@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from trainings import StopAfter, run, tiny, weights
 
@@ -82,11 +81,3 @@ def test_options_that_are_not_given_are_those_for_a_good_base():
     student = config.student()
     assert (student.rounds, student.arms, student.gru_width) == (3, config.teacher_arms, 0)
     assert (student.hidden, student.residual_limit, student.torque_price) == ((128, 128), 0.5, 5.0)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"), [({"teacher_rounds": -1}, "--teacher-rounds"), ({"critic_steps": -1}, "--critic-steps")]
-)
-def test_bad_options_of_it(options: dict[str, Any], words: str, tmp_path: Path):
-    with pytest.raises(ValueError, match=words):
-        taught(tmp_path, **options).check()
