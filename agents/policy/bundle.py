@@ -71,7 +71,7 @@ def read_bundle(folder: Path | str) -> Bundle:
     """Read a policy whole.
 
     Raises:
-        BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
+        BundleError: If it is missing, damaged, foreign, or trained on another base.
     """
     path = Path(folder) / POLICY_FILE
     try:
@@ -113,7 +113,7 @@ def load_controller(*folders: Path | str) -> ResidualController:
             raise ValueError(f"{folder} is not built as {folders[0]}: load each by itself")
     policies = [NetworkPolicy(bundle.weights, spec.columns(), len(spec.offered())) for bundle in bundles]
     policy = policies[0] if len(policies) == 1 else PoliciesSideBySide(policies)
-    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
+    return ResidualController(make_base(spec.base, spec.sensors, spec.base_gains), policy, spec.residual)
 
 
 def are_alike(folders: Sequence[Path | str]) -> bool:

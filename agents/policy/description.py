@@ -3,9 +3,10 @@
 `entries` names the policy's inputs, in order: they are picked by name from what the environment shows and the agent is
 told, which may be more than when the policy was trained. What they mean goes with `observation.LAYOUT`.
 
-A residual is worth something only on the base, and with the knowledge, that it was trained with: gains of the base and
-doubts of the identification are part of the description, and where the checkout has others, a policy is refused. So it
-is where arm and drive are of another `edition`.
+A residual is worth something only on the base, and with the knowledge, that it was trained with. So the gains of the
+base are part of the description, and a policy acts on a base with these, whatever gains the checkout has. Where they
+are no gains of the base any more, or the identification doubts otherwise, a policy is refused. So it is where arm and
+drive are of another `edition`.
 """
 
 from __future__ import annotations
@@ -62,6 +63,9 @@ SCHEMA = object_of(
 """JSON Schema (2020-12) of a description; what it names in `provenance` may lack."""
 
 
+_SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
+
+
 class BundleError(ValueError):
     """Error about a policy that is missing, damaged or of another format."""
 
@@ -81,6 +85,7 @@ class BundleSpec:
     standardised: bool = False  # whether the network standardises its inputs
     provenance: dict[str, Any] = field(default_factory=dict)  # how it was trained
     inputs: tuple[str, ...] | None = None  # names of the entries that the policy is given, in order; None for all
+    base_gains: dict[str, float] | None = None  # of the base in training; None for those of the checkout
 
     def offered(self) -> tuple[Entry, ...]:
         """All entries that a policy with these sensors and this knowledge can be given."""
@@ -107,11 +112,11 @@ class BundleSpec:
         return ActorShape(inputs, hidden, self.activation, squashed, self.lstm, self.gru, self.standardised)
 
     def content(self) -> dict[str, Any]:
-        """Description as JSON has it, with the settings of the checkout's base."""
-        settings = base_settings(self.base, self.residual.knowledge)
+        """Description as JSON has it, with the settings of the base."""
+        settings = base_settings(self.base, self.residual.knowledge, self.base_gains)
         return {
             **MADE_FOR,
-            **{name: value for name, value in asdict(self).items() if name != "inputs"},  # which `entries` says
+            **{name: value for name, value in asdict(self).items() if name not in _SAID_OTHERWISE},
             "hidden": list(self.hidden),
             "base_settings": settings,
             "base_hash": settings_hash(settings),
@@ -127,7 +132,7 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
         path: Its file, for messages.
 
     Raises:
-        BundleError: If it is foreign, of another release, or was made for other gains than the checkout's.
+        BundleError: If it is foreign, of another release, or was trained on another base.
     """
     for name, now in MADE_FOR.items():
         if content.get(name) != now:
@@ -138,7 +143,7 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
     except ValueError as error:
         raise BundleError(str(error)) from None
     try:
-        known = {name: content[name] for name in BundleSpec.__slots__ if name != "inputs"}
+        known = {name: content[name] for name in BundleSpec.__slots__ if name not in _SAID_OTHERWISE}
         known |= {"residual": ResidualSettings(**content["residual"]), "hidden": tuple(content["hidden"])}
         spec = BundleSpec(**known)
         if content["entries"] != spec.entries():
@@ -146,12 +151,15 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
         spec.shape()
     except ValueError as error:
         raise BundleError(f"{path} does not fit this release: {in_a_line(error)}") from None
-    settings = base_settings(spec.base, spec.residual.knowledge)
-    if content.get("base_hash") != settings_hash(settings):
-        before = content.get("base_settings")
-        changes = changed_settings(before, settings) if before else "unknown gains"
+    before, now = content["base_settings"], base_settings(spec.base, spec.residual.knowledge)
+    try:
+        settings = base_settings(spec.base, spec.residual.knowledge, before.get("gains", {}))
+    except ValueError:
+        settings = now
+    if content["base_hash"] != settings_hash(settings):
+        changes = changed_settings(before, now)
         raise BundleError(f"{path} was trained on another {spec.base!r} ({in_a_line(changes)}): train it again")
-    return spec
+    return spec if settings == now else replace(spec, base_gains=settings["gains"])
 
 
 def _names_of(entries: list[list[Any]], offered: Sequence[Entry]) -> tuple[str, ...]:

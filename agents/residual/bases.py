@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -14,10 +14,11 @@ from agents.residual.knowledge import Knowledge
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.gains import tuned
-from baselines.optimal.adaptive import AdaptiveGains
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.reading import Sample
 from baselines.registry import WITH_ACCELEROMETER
 from baselines.tools.command import require_known
+from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
 from beltarm_env.rollout import Controller
@@ -47,29 +48,40 @@ BASES: dict[str, Callable[[], Any]] = {**CONTROLLERS, "none": NoController}
 """Base controllers by name: all of `baselines.CONTROLLERS`, and none."""
 
 
-def make_base(name: str, sensors: str = "encoder") -> Controller:
+def make_base(name: str, sensors: str = "encoder", gains: Mapping[str, float] | None = None) -> Controller:
     """Make the base controller called `name`.
 
     Args:
         name: Of `BASES`.
         sensors: Of the arm; with "accelerometer", a base whose filter can use it does.
+        gains: By name; those of the checkout if not given.
 
     Raises:
-        ValueError: If there is none, naming the nearest one.
+        ValueError: If there is none, naming the nearest one, or it does not take such gains.
     """
     require_known((name,), BASES, "no base controller {}")
-    return (WITH_ACCELEROMETER if sensors == "accelerometer" and name in WITH_ACCELEROMETER else BASES)[name]()
+    base = (WITH_ACCELEROMETER if sensors == "accelerometer" and name in WITH_ACCELEROMETER else BASES)[name]()
+    own = getattr(base, "gains", None)
+    if gains is None or gains == (asdict(own) if own else {}):
+        return base
+    if own is None or gains.keys() != asdict(own).keys():
+        raise ValueError(f"{name!r} has no gains {in_a_line(', '.join(gains), 80)}")
+    return type(base)(gains=type(own)(**gains))
 
 
-def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]]:
+def base_settings(
+    name: str, knowledge: Knowledge, gains: Mapping[str, float] | None = None
+) -> dict[str, dict[str, float]]:
     """Gains that a residual relies on: the base's and, if the agent observes a belief, the identification's.
 
     Raises:
-        ValueError: If there is no such base, or the file of gains is damaged.
+        ValueError: As `make_base`, or if the file of gains is damaged.
     """
-    gains = getattr(make_base(name), "gains", None)
-    doubts = asdict(tuned("adaptive", AdaptiveGains).uncertainty()) if knowledge == "belief" else {}
-    return {"gains": asdict(gains) if gains is not None else {}, "doubts": doubts}
+    base, doubts = make_base(name, gains=gains), {}
+    if knowledge == "belief":
+        own = isinstance(base, AdaptiveController)  # whose belief is the one that the agent observes
+        doubts = asdict(base.uncertainty if own else tuned("adaptive", AdaptiveGains).uncertainty())
+    return {"gains": asdict(base.gains) if hasattr(base, "gains") else {}, "doubts": doubts}
 
 
 def settings_hash(settings: dict[str, dict[str, float]]) -> str:

@@ -24,6 +24,7 @@ from agents.policy.bundle import (
     CARD,
     POLICIES,
     POLICY_FILE,
+    annotate,
     load_controller,
     read_bundle,
     read_spec,
@@ -35,7 +36,7 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.tensor_file import MAX_BYTES, packed
-from baselines import PaperController
+from baselines import CONTROLLERS, PaperController
 from baselines.optimal.accelerometer import AccelerometerAdaptiveController
 from beltarm_env.rollout import rollout
 
@@ -247,10 +248,21 @@ def test_descriptions_with_wrong_values_are_refused(bundle: Path, changes: dict[
     assert NAN in changes.values() or re.search(words, str(caught.value))
 
 
-@pytest.mark.parametrize(("part", "field", "value"), [("gains", "angle", 1.0), ("doubts", "swing", 0.5)])
-def test_a_base_with_other_settings_is_refused(bundle: Path, part: str, field: str, value: float):
+def test_a_base_has_the_gains_that_it_had_in_training(bundle: Path):
+    """Whatever gains the checkout has; they stay with the policy when its card is written again."""
     settings = read_spec(bundle)[1]["base_settings"]
-    settings[part][field] = value
+    settings["gains"]["angle"] = 1.0
+    edit(bundle, base_settings=settings, base_hash=settings_hash(settings))
+    annotate(bundle, note=1)
+    assert read_spec(bundle)[1]["base_settings"] == settings
+    base = load_controller(bundle).informed.base
+    assert isinstance(base, PaperController) and base.gains.angle == 1.0 != CONTROLLERS["paper"]().gains.angle
+
+
+@pytest.mark.parametrize(("part", "field"), [("gains", "angel"), ("doubts", "swing")])
+def test_another_base_is_refused(bundle: Path, part: str, field: str):
+    settings = read_spec(bundle)[1]["base_settings"]
+    settings[part][field] = 0.5
     edit(bundle, base_settings=settings, base_hash=settings_hash(settings))
     refused(BundleError, (POLICY_FILE, f"{part}.{field}"), lambda: load_controller(bundle))
 
