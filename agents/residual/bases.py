@@ -62,7 +62,7 @@ def make_base(name: str, sensors: str = "encoder", gains: Mapping[str, float] | 
     require_known((name,), BASES, "no base controller {}")
     feels = sensors == "accelerometer" and name in WITH_ACCELEROMETER
     base = (WITH_ACCELEROMETER if feels else BASES)[name]()
-    own = getattr(base, "gains", None)
+    own: Any = getattr(base, "gains", None)
     if gains is None or gains == (asdict(own) if own else {}):
         return base
     if own is None or gains.keys() != asdict(own).keys():
@@ -83,7 +83,8 @@ def base_settings(
     if knowledge == "belief":
         own = isinstance(base, AdaptiveController)  # whose belief is the one that the agent observes
         doubts = asdict(base.uncertainty if own else tuned("adaptive", AdaptiveGains).uncertainty())
-    return {"gains": asdict(base.gains) if hasattr(base, "gains") else {}, "doubts": doubts}
+    own_gains: Any = getattr(base, "gains", None)
+    return {"gains": asdict(own_gains) if own_gains else {}, "doubts": doubts}
 
 
 def settings_hash(settings: dict[str, dict[str, float]]) -> str:
