@@ -35,7 +35,7 @@ VERSION = 4
 """Changes whenever the physics or a scenario changes: results of different versions must not be compared."""
 EPISODES = 200
 """Scenarios of a split."""
-MOVES = 8
+MOVES = 6
 """Moves of a shift."""
 QUICK_EPISODES, QUICK_MOVES = 20, 2
 """Scenarios of a split, and moves of a shift, that are run for a first look."""
