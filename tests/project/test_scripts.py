@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import re
 import shlex
 import shutil
 import signal
@@ -157,7 +158,7 @@ def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def readme_examples() -> list[str]:
     """As they are, but for the length of a training: one update tells as much as five."""
     blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
-    return [block.split("```")[0].replace("learn(10_000)", "learn(1)") for block in blocks]
+    return [re.sub(r"learn\(\d+_000\)", "learn(1)", block.split("```")[0]) for block in blocks]
 
 
 @pytest.mark.filterwarnings("default", "error::UserWarning:beltarm_env")
