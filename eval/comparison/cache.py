@@ -122,7 +122,7 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
         rows = np.tile(np.arange(count), len(seeds))
         arguments = scenarios.arguments(rows)
         run = rollout(method.controllers(seeds, *arms), len(rows), sensors=method.sensors, **arguments)
-        _require_these_arms(run, scenarios, rows)
+        require_these_arms(run, scenarios, rows)
         tables = {name: over_moves(values, run.num_moves) for name, values in run.metrics().items()}
         tables[LEFT] = np.where(run.of_move(run.num_moves - 1).finished, 0.0, 1.0)
         if parts[0].perturbed:
@@ -142,10 +142,19 @@ def over_moves(values: Floats, num_moves: int) -> Floats:
     return by_scenario.mean(axis=1, dtype=np.float64)
 
 
-def _require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:
-    """Check that a run had the arms and moves of its scenarios, which it drew on the way if they are shifts."""
-    wanted = scenarios.tables[:, rows].reshape(run.params.shape), scenarios.all_moves[:, rows].reshape(run.moves.shape)
-    if not (np.array_equal(run.params, wanted[0]) and np.array_equal(run.moves, wanted[1])):
+def require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:
+    """Check that a run had the arms and moves of its scenarios, which it drew on the way if they are shifts.
+
+    Moves after that in which an arm left its workspace were not run.
+
+    Raises:
+        ValueError: If one is another.
+    """
+    begun = np.ones((run.num_moves, len(rows)), np.bool_)
+    begun[1:] = run.finished.reshape(run.num_moves, -1)[:-1]
+    of_run = run.params[begun.ravel()], run.moves[begun.ravel()]
+    wanted = scenarios.tables[:, rows][begun], scenarios.all_moves[:, rows][begun]
+    if not all(map(np.array_equal, of_run, wanted)):
         raise ValueError(f"the arms that were run are not those of the scenarios of {scenarios.of or 'this split'}")
 
 

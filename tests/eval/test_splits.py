@@ -26,7 +26,7 @@ from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, arms_
 from eval import compare
 from eval import scenarios as command
 from eval.comparison import sets as scenarios
-from eval.comparison.cache import LEFT, Part, measure
+from eval.comparison.cache import LEFT, Part, measure, require_these_arms
 from eval.comparison.methods import classical_methods
 from eval.comparison.sets import (
     ScenarioSet,
@@ -126,6 +126,19 @@ def test_the_first_moves_of_a_shift_are_those_of_the_whole_shift(splits: dict[st
     first = run.cost.reshape(MOVES, 2)[:2].mean(axis=0)
     assert measure(Part(paper, short, 2))["cost"][0] == pytest.approx(first, rel=1e-12)
     assert splits["nominal"].shortened(2) is splits["nominal"]
+
+
+def test_a_shift_that_an_arm_leaves_is_of_the_scenario_as_far_as_it_went(splits: dict[str, Split]):
+    class Pushing:
+        def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
+            return np.ones((len(observation), 1), np.float32), None
+
+    split, rows = splits["shift"].shortened(3), np.array([4, 9])
+    run = rollout(Pushing(), 2, **split.arguments(rows))
+    assert not run.finished.any() and not np.array_equal(run.params, split.tables[:, rows].reshape(run.params.shape))
+    require_these_arms(run, split, rows)
+    with pytest.raises(ValueError, match="not those of the scenarios"):
+        require_these_arms(run, split, rows[::-1])
 
 
 # Sets
