@@ -21,7 +21,12 @@ from beltarm_env import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
-_FILES = ("baselines/gains.json", "agents/**/*.safetensors")
+_FILES = {
+    "baselines/gains.json": "baselines",
+    "agents/policies*/**/*.safetensors": "agents.policy",
+    "agents/observer/shipped/*.safetensors": "agents.observer",
+}
+"""Files that a measurement depends on if it reaches a package."""
 _STARTS = ("measure", "Options")
 """Names of a module from which all that measures is reached."""
 
@@ -61,8 +66,8 @@ def inputs_digest(module: str, starts: Iterable[str] = _STARTS) -> str:
                 waiting.append(other)
     for name in sorted(reached):
         total.update(f"{name}\0{_digest(reached[name])}\0".encode())
-    for pattern in _FILES:
-        for path in sorted(ROOT.glob(pattern)):
+    for pattern, package in _FILES.items():
+        for path in sorted(ROOT.glob(pattern)) if package in reached else ():
             total.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return total.hexdigest()
 

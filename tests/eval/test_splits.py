@@ -308,3 +308,4 @@ def test_a_changed_physics_is_noticed(change: Any):
         require_same_physics(other)
     assert "raise VERSION in eval/comparison/splits.py" in str(caught.value)
     require_same_physics(fresh_set(0).only(["nominal", "sensing"]))  # which is checked by the test set
+    require_same_physics(choose_set("test").only(["sensing"], moves=2))
