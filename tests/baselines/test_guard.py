@@ -200,7 +200,7 @@ class TestInTheLoop:
         policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
         run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
-        base = rollout(CONTROLLERS["adaptive"](), 2, **ARMS)
+        base = rollout(policy.informed.base, 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 
 

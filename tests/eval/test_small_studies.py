@@ -157,7 +157,7 @@ def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]
 
 @pytest.mark.parametrize("model", [ELEMENT, LUGRE])
 def test_a_clean_stick_is_the_limit_of_a_motor_that_gives_little_in_closed_loop(model: str):
-    soft, stiff = check(model, 3.0, 1), check(model, 0.1, 1)
+    soft, stiff = check(model, 3.0, 4), check(model, 0.1, 4)
     assert stiff["tip"] < 0.5 * soft["tip"]
     assert all(stiff["costs"][name] < 0.6 * soft["costs"][name] for name in soft["costs"])
 

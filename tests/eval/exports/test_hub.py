@@ -33,6 +33,7 @@ from agents.policy.description import BundleSpec
 from agents.residual.controller import ResidualSettings
 from beltarm_env.rollout import rollout
 from eval import export
+from eval.comparison.cache import over_moves
 from eval.comparison.sets import choose_set
 from eval.exports import hub
 from eval.exports.hub import CONFIG, EXCERPT, FILM, MODEL, PUBLISHED, bibtex
@@ -88,21 +89,21 @@ def test_the_folder_of_a_shipped_policy(
     assert "hf upload some-lab/arm.1 results/hub/arm.1\n" in capsys.readouterr().out
     assert (folder / POLICY_FILE).read_bytes() == (POLICY / POLICY_FILE).read_bytes()
 
-    arms = choose_set("test").splits["randomized"].arguments(slice(EPISODES))
-    reward = -rollout(load_controller(folder), EPISODES, **arms).cost
+    run = rollout(load_controller(folder), EPISODES, **choose_set("test").splits["shift"].arguments(slice(EPISODES)))
+    reward = -over_moves(run.cost, run.num_moves)
     mean_reward = f"{np.mean(reward):.2f} +/- {np.std(reward):.2f}"
     card = huggingface_hub.ModelCard.load(folder / CARD)
     assert (card.data.license, card.data.library_name) == ("mit", "stable-baselines3")
     assert {"deep-reinforcement-learning", "reinforcement-learning", "BeltArm-v0", "ppo"} <= {*card.data.tags}
     first = card.data.eval_results[0]
-    assert (first.metric_type, first.metric_value, first.dataset_config) == ("mean_reward", mean_reward, "randomized")
+    assert (first.metric_type, first.metric_value, first.dataset_config) == ("mean_reward", mean_reward, "shift")
     for words in (mean_reward, "| payload_mass | 0 | 0.2 |", "without the guard", bibtex()):
         assert words in card.text
 
     excerpt = json.loads((folder / EXCERPT).read_text())
     assert (excerpt["n_eval_episodes"], excerpt["mean_reward"]) == (EPISODES, pytest.approx(np.mean(reward)))
     assert excerpt["results_sha256"] == hashlib.sha256(few.read_bytes()).hexdigest()
-    assert {row["method"] for row in excerpt["rows"]} == {"ppo", "adaptive"} and len(excerpt["rows"]) == 18
+    assert {row["method"] for row in excerpt["rows"]} == {"ppo", "adaptive"} and len(excerpt["rows"]) == 20
     config = json.loads((folder / CONFIG).read_text())
     assert config["sha256"] == read_spec(POLICY)[1]["sha256"] and config["policy"] == POLICY_FILE
 
