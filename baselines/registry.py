@@ -63,7 +63,7 @@ Call without arguments, or with `params` for arms with another gear ratio or tor
 """
 
 DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat"}
-"""Controllers that another one, no more complex, beats on every split, by cost, tip error and residual; and which.
+"""Controllers that another one, no more complex, beat on every split of single moves, by cost, tip error and residual.
 
 They stay available by name; comparisons leave them out unless they are named.
 """
