@@ -30,10 +30,10 @@ class Curve:
     base: str
     base_cost: float
     arms: int  # of the validation
-    moves: int  # of each
     steps: Floats  # simulated samples of single arms
     minutes: Floats
     cost: Floats
+    moves: int = 1  # of each arm in the validation
 
 
 def find_curves(folders: list[Path]) -> list[Curve]:
@@ -69,7 +69,7 @@ def _read_curve(bundle: Path) -> Curve:
         raise BundleError(f"{bundle} does not say what it was validated on")
     method = f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
     steps, seconds, cost = points.T
-    return Curve(method, spec.base, float(base_cost), arms, moves, steps * spec.residual.hold, seconds / 60, cost)
+    return Curve(method, spec.base, float(base_cost), arms, steps * spec.residual.hold, seconds / 60, cost, moves)
 
 
 def levels(curves: list[Curve]) -> dict[str, float]:
