@@ -33,7 +33,7 @@ class Curve:
     steps: Floats  # simulated samples of single arms
     minutes: Floats
     cost: Floats
-    moves: int = 1  # of each arm in the validation
+    moves: int = 1  # of each arm in the validation; data from before shifts does not say
 
 
 def find_curves(folders: list[Path]) -> list[Curve]:
