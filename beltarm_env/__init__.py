@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beltarm_env.physics.derivative import state_derivative
     from beltarm_env.physics.linear import state_space
     from beltarm_env.physics.sampled import sampled_state_space
-    from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, design_model
+    from beltarm_env.task.ranges import IDEAL_RANGES, SHIFT_RANGES, TRAIN_RANGES, design_model
     from beltarm_env.vector_env import BeltArmVectorEnv
 
 __version__ = "0.1.0"
@@ -29,6 +29,7 @@ __all__ = [
     "CONTROL_PERIOD",
     "EPISODE_STEPS",
     "IDEAL_RANGES",
+    "SHIFT_RANGES",
     "TRAIN_RANGES",
     "ArmParams",
     "BeltArmEnv",
@@ -41,6 +42,7 @@ __all__ = [
 
 _HOME = {
     "IDEAL_RANGES": "task.ranges",
+    "SHIFT_RANGES": "task.ranges",
     "TRAIN_RANGES": "task.ranges",
     "ArmParams": "arm",
     "BeltArmEnv": "env",

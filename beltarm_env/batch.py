@@ -25,9 +25,9 @@ from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_r
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.options import checked_column, checked_names, checked_states
-from beltarm_env.task.ranges import Randomization, draw_table, range_bounds
+from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
-from beltarm_env.task.shift import MOST_MOVES, fastest_of_moves, ranges_of_moves
+from beltarm_env.task.shift import MOST_MOVES, fastest_of_moves
 from beltarm_env.task.streams import Streams, wrapping
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
@@ -136,7 +136,7 @@ class ArmBatch:
         self.model_name = model
         self.model = MODELS[model]
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
-        self._bounds = range_bounds(ranges_of_moves(randomization, self.num_moves))
+        self._bounds = range_bounds(resolve_ranges(randomization, self.num_moves))
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built

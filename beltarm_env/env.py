@@ -157,11 +157,12 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
                 full arm moved and drawn by MuJoCo (extra `mujoco`), which cannot express all effects of a drive and
                 refuses those of "train".
             randomization: "off", the paper's arm; "ideal", arms that vary behind an ideal drive (`IDEAL_RANGES`);
-                "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
+                "train", arms and drives that vary (`TRAIN_RANGES`; with several moves `SHIFT_RANGES`); or a mapping
+                from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
             delay: Samples by which encoder, tachometer and accelerometer lag, 0 to 2; it need not be whole.
-            moves: Moves of an episode, 1 to 1000. Where there are several and `randomization` is a word, parts weigh
-                0.05 to 0.5 kg (`PART_MASS`).
+            moves: Moves of an episode, 1 to 1000. Several are a working shift (`task.shift`): with a word as
+                `randomization` parts weigh 0.05 to 0.5 kg, and with "train" motors give before they slip, too.
             render_mode: "human" for a window, "rgb_array" for frames, None for neither.
 
         Raises:

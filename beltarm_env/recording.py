@@ -106,6 +106,18 @@ class Recording:
             self.torque_before,
         )
 
+    def over_moves(self, values: Floats) -> Floats:
+        """Average a number per move, such as `cost` or one of the metrics, over the moves of each arm.
+
+        Args:
+            values: Shape (n,).
+
+        Returns:
+            Averages, shape (num_arms,); of each arm the same bits in any batch.
+        """
+        of_arms = np.ascontiguousarray(values.reshape(self.num_moves, -1).T)  # so that no sum depends on other arms
+        return of_arms.mean(axis=1, dtype=np.float64)
+
     def to_pandas(self) -> pd.DataFrame:
         """Table of all samples: a row per arm, move and time; states, commanded torque, tip errors, in SI units.
 

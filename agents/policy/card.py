@@ -15,7 +15,7 @@ import jinja2
 import numpy as np
 import yaml
 
-from beltarm_env.task.ranges import RANGES
+from beltarm_env.task.ranges import resolve_ranges
 from beltarm_env.timing import CONTROL_PERIOD
 
 ENVIRONMENT = "BeltArm-v0"
@@ -49,6 +49,7 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
     """Format a description as a card: what the policy is, how it is loaded, its training, and what is offered."""
     offer, provenance = offer or Offer(), content["provenance"]
     config, curve = provenance.get("config", {}), provenance.get("curve", [])
+    moves = config.get("moves", 1)
     return _TEMPLATES.get_template("card.md.j2").render(
         front_matter=yaml.safe_dump(front_matter(content, offer), sort_keys=False, allow_unicode=True),
         environment=ENVIRONMENT,
@@ -61,7 +62,8 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
         software={"beltarm": provenance.get("version"), **provenance.get("versions", {})},
         seed=config.get("seed"),
         curve=[curve[k] for k in np.linspace(0, len(curve) - 1, min(len(curve), _ROWS)).round().astype(int)],
-        ranges=RANGES.get(config.get("randomization", ""), {}),
+        moves=moves,
+        ranges=resolve_ranges(config["randomization"], moves) if "randomization" in config else {},
     )
 
 

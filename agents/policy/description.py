@@ -22,7 +22,8 @@ from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
-from beltarm_env.task.ranges import EDITION
+from beltarm_env.task.ranges import EDITION, RANGES
+from beltarm_env.task.shift import MOST_MOVES
 
 MADE_FOR = {"format": "beltarm-policy", "version": 4, "layout": LAYOUT, "edition": EDITION}
 """What must be the same here for a policy to be used."""
@@ -32,13 +33,16 @@ _COUNT, _TIME = (kind | {"minimum": 0, "maximum": 10**15} for kind in (INTEGER, 
 _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}
 _ENTRY = {"type": "array", "prefixItems": [TEXT, TEXT, NUMBER, NUMBER], "minItems": 4, "maxItems": 4}
+_MOVES = INTEGER | {"minimum": 1, "maximum": MOST_MOVES}
 _NAMED_NUMBERS = {"type": "object", "propertyNames": {"pattern": r"^\w+\Z"}, "additionalProperties": NUMBER}
 _PROVENANCE = {
     "command": TEXT,
     "version": TEXT,
     "commit": TEXT,
     "versions": mapping_of(TEXT),
-    "config": object_of(("seed", "randomization"), seed=INTEGER, randomization=TEXT),
+    "config": object_of(
+        ("seed", "randomization", "moves"), seed=INTEGER, randomization={"enum": list(RANGES)}, moves=_MOVES
+    ),
     "run": object_of(("steps", "seconds"), **_RUN),
     "curve": list_of(_POINT),
     "reached": object_of(**_RUN, validation=_NAMED_NUMBERS),

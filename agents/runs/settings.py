@@ -18,7 +18,6 @@ from baselines.tools.command import require_bounds
 from baselines.tools.options import Groups
 from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT, Sensors
-from beltarm_env.task.ranges import training_ranges
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 from beltarm_env.task.shift import MOST_MOVES
 
@@ -35,9 +34,8 @@ MAY_CHANGE = (
 def task_of(
     moves: int, sensors: Sensors = "encoder", randomization: Literal["train", "ideal"] = "train"
 ) -> dict[str, Any]:
-    """Arguments of `BeltArmVectorEnv`; arms for training are of the `training_ranges` of so many moves."""
-    ranges = training_ranges(moves) if randomization == "train" else randomization
-    return {"randomization": ranges, "moves": moves, "sensors": sensors}
+    """Arguments of `BeltArmVectorEnv`."""
+    return {"randomization": randomization, "moves": moves, "sensors": sensors}
 
 
 @dataclass(frozen=True)

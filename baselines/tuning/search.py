@@ -54,7 +54,6 @@ from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
-from beltarm_env.task.ranges import training_ranges
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
 RUNGS = (32, 64, 128)
@@ -317,8 +316,8 @@ class _Search:
         try:
             controller = self._tunable.controller(rounded(params, self._tunable.gains))
             with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
-                run = rollout(controller, arms, seed=seed, randomization=training_ranges(moves), moves=moves)
-            costs = np.minimum(run.cost.reshape(moves, arms).mean(axis=0), WORST)
+                run = rollout(controller, arms, seed=seed, randomization="train", moves=moves)
+            costs = np.minimum(run.over_moves(run.cost), WORST)
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error

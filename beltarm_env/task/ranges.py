@@ -62,22 +62,19 @@ PART_MASS = (0.05, 0.5)
 """Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""
 
 PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
-"""Range of a motor that gives before it slips; not among `TRAIN_RANGES`, those of a single move."""
+"""Range of a motor that gives before it slips; not among `TRAIN_RANGES`."""
 
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
-"""Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""
+"""Ranges of single moves, "train": arm and drive."""
 
 SHIFT_RANGES: Ranges = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
-"""Ranges of the arms of a working shift, whose motors give before they slip: of training, and of the split `shift`."""
-
-
-def training_ranges(moves: int) -> Ranges:
-    """Return the ranges that tuning and training draw from: `TRAIN_RANGES` for one move, `SHIFT_RANGES` for several."""
-    return SHIFT_RANGES if moves > 1 else TRAIN_RANGES
+"""Ranges of working shifts, "train" with several moves: of tuning, of training, and of the split `shift`."""
 
 
 RANGES: dict[str, Ranges] = {"off": {}, "ideal": IDEAL_RANGES, "train": TRAIN_RANGES}
-"""By the word that users give as `randomization`."""
+"""By the word that users give as `randomization`, in episodes of one move."""
+
+_OF_SHIFTS = {word: {**ranges, "payload_mass": PART_MASS} for word, ranges in RANGES.items()} | {"train": SHIFT_RANGES}
 
 _WHOLE_COLUMNS = np.array([FIELDS.index(name) for name in WHOLE])
 _OF_UNKNOWN_PHASE = ("friction_variation", "torque_ripple", "kinematic_error")
@@ -93,12 +90,14 @@ def design_model() -> ArmParams:
     return ArmParams(**{**middle, **dict.fromkeys(_OF_UNKNOWN_PHASE, 0.0)})
 
 
-def resolve_ranges(randomization: Randomization) -> dict[str, tuple[float, float]]:
+def resolve_ranges(randomization: Randomization, moves: int = 1) -> dict[str, tuple[float, float]]:
     """Resolve the ranges of the fields that vary.
 
     Args:
         randomization: "off", "ideal" (`IDEAL_RANGES`), "train" (`TRAIN_RANGES`), or a mapping from field name to
             (low, high).
+        moves: Of an episode. Where there are several, "train" means `SHIFT_RANGES`, and parts weigh `PART_MASS` with
+            any word.
 
     Raises:
         ValueError: On an unknown word or field, on low > high, or where an end of the range makes no arm.
@@ -109,7 +108,7 @@ def resolve_ranges(randomization: Randomization) -> dict[str, tuple[float, float
             raise ValueError(
                 f"randomization must be 'off', 'ideal', 'train' or a mapping of ranges, got {randomization!r}"
             )
-        return dict(RANGES[randomization])
+        return dict((RANGES if moves == 1 else _OF_SHIFTS)[randomization])
     if not isinstance(randomization, Mapping):
         raise TypeError(f"randomization must be 'off', 'ideal', 'train' or a mapping of ranges, got {randomization!r}")
     ranges = {}

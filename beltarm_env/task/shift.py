@@ -19,22 +19,12 @@ import numpy as np
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined
-from beltarm_env.task.ranges import PART_MASS, Randomization, resolve_ranges
 
 MOST_MOVES = 1000
 """Most moves of an episode."""
 LEAST_FRICTION, MOST_FRICTION = 0.8, 1.25
 """Level of friction that it does not leave, over that at the episode's start."""
 _FRICTION = (COLUMN.motor_viscous_friction, COLUMN.coulomb_friction)
-
-
-def ranges_of_moves(randomization: Randomization, moves: int) -> dict[str, tuple[float, float]]:
-    """Resolve the ranges of the fields that vary in episodes of so many moves.
-
-    Where `randomization` is a word and there are several moves, parts weigh `PART_MASS`; see `resolve_ranges`.
-    """
-    ranges = resolve_ranges(randomization)
-    return {**ranges, "payload_mass": PART_MASS} if moves > 1 and isinstance(randomization, str) else ranges
 
 
 def fastest_of_moves(table: Floats, moves: int) -> Floats:

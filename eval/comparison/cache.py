@@ -123,23 +123,17 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
         arguments = scenarios.arguments(rows)
         run = rollout(method.controllers(seeds, *arms), len(rows), sensors=method.sensors, **arguments)
         require_these_arms(run, scenarios, rows)
-        tables = {name: over_moves(values, run.num_moves) for name, values in run.metrics().items()}
+        tables = {name: run.over_moves(values) for name, values in run.metrics().items()}
         tables[LEFT] = np.where(run.of_move(run.num_moves - 1).finished, 0.0, 1.0)
         if parts[0].perturbed:
             again = Perturbed(method.controllers(seeds, *arms))
             cost = rollout(again, len(rows), sensors=method.sensors, **arguments).cost
-            tables[SENSITIVE] = sensitive(tables["cost"], over_moves(cost, run.num_moves))
+            tables[SENSITIVE] = sensitive(tables["cost"], run.over_moves(cost))
         for name, values in tables.items():
             metrics[name][seeds] = values.reshape(len(seeds), count)
     ends = np.cumsum(counts)[:-1]
     pieces = {name: np.split(table, ends, axis=1) for name, table in metrics.items()}
     return [{name: piece[k].copy() for name, piece in pieces.items()} for k in range(len(parts))]
-
-
-def over_moves(values: Floats, num_moves: int) -> Floats:
-    """Average a metric over the moves of each scenario: shape (n,), from that of a `Recording`, (moves * n,)."""
-    by_scenario = np.ascontiguousarray(values.reshape(num_moves, -1).T)  # so that a sum does not depend on the others
-    return by_scenario.mean(axis=1, dtype=np.float64)
 
 
 def require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:

@@ -18,7 +18,6 @@ from baselines.tools.provenance import commit
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
 from beltarm_env.rollout import rollout
-from eval.comparison.cache import over_moves
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.schema import AGAINST, read_results
@@ -111,7 +110,7 @@ def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     home, row = next(iter(scores.rows.items()))
     arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(row["episodes"]))
     run = rollout(load_controller(policy), row["episodes"], sensors=read_spec(policy)[0].sensors, **arguments)
-    return replace(scores, rewards=-over_moves(run.cost, run.num_moves))
+    return replace(scores, rewards=-run.over_moves(run.cost))
 
 
 def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | None:

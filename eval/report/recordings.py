@@ -11,7 +11,6 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
-from eval.comparison.cache import over_moves
 from eval.comparison.methods import Method
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.rollouts import Failure, calls_side_by_side, run_controller
@@ -205,7 +204,7 @@ def _as_measured(run: _Run) -> Recording:
 
 def _cost(recording: Recording) -> float:
     """Cost of a recording of one arm, averaged over its moves."""
-    return float(over_moves(recording.cost, recording.num_moves)[0])
+    return float(recording.over_moves(recording.cost)[0])
 
 
 def reference_angles(recording: Recording) -> np.ndarray:

@@ -19,7 +19,6 @@ from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Controller, rollout
-from eval.comparison.cache import over_moves
 from eval.comparison.check import action_times
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
@@ -112,7 +111,7 @@ def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
     moves = [run.of_move(move) for move in range(run.num_moves)]
     torsion = np.concatenate([move.state[:, :, 2] for move in moves])
     errors = np.array(recorder.notes[1:]) - torsion[:-1]
-    averages = {metric: over_moves(metrics[metric], run.num_moves) for metric in (*COMPARED, *TORQUE_QUALITY)}
+    averages = {metric: run.over_moves(metrics[metric]) for metric in (*COMPARED, *TORQUE_QUALITY)}
     return Outcome(averages, int((~moves[-1].finished).sum()), float(np.sqrt(np.mean(errors**2))))
 
 

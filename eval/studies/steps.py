@@ -22,7 +22,6 @@ from beltarm_env.arm import ArmParams
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
-from beltarm_env.task.ranges import SHIFT_RANGES
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.methods import PRIVILEGED
 from eval.comparison.statistics import average, worst_mean
@@ -104,7 +103,7 @@ ASIDE = (
 def measure(options: Options) -> dict[str, Any]:
     """Averages of every step's metrics over the moves of the arms."""
     rows, moved = list[dict[str, Any]](), None
-    task = {"seed": LOOPS.first, "randomization": SHIFT_RANGES, "moves": options.moves}
+    task = {"seed": LOOPS.first, "randomization": "train", "moves": options.moves}
     for step in progress_over("steps", (*CHAIN, *ASIDE)):
         sensors = "full" if step.controller == PRIVILEGED else "encoder"
         runs = [rollout(controller, options.arms, sensors=sensors, **task) for controller in step.make(moved)]

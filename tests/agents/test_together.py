@@ -21,7 +21,7 @@ from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import size
 from beltarm_env.rollout import rollout
-from eval.comparison.cache import Part, measure, over_moves
+from eval.comparison.cache import Part, measure
 from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
 
@@ -96,7 +96,7 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
     for seed in range(2):
         alone = rollout(several.controller(seed), episodes, **split.arguments(slice(episodes)))
         for name, values in alone.metrics().items():
-            assert actual[name][seed].tobytes() == over_moves(values, alone.num_moves).tobytes(), name
+            assert actual[name][seed].tobytes() == alone.over_moves(values).tobytes(), name
 
 
 def lively(spec: BundleSpec) -> ResidualController:
