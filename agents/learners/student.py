@@ -42,7 +42,7 @@ from agents.policy.actor import Actor
 from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression
 from agents.residual.bases import make_base
-from agents.residual.controller import Policy, ResidualController
+from agents.residual.controller import ResidualController
 from agents.runs.settings import RunConfig, task_of
 from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
@@ -162,7 +162,10 @@ class Student:
         monitor.begin()
         while self.rounds < self.config.rounds:
             self.pause = Pause(monitor)
-            recording, error = self.learn_round()
+            recording, recorder = self.move()
+            advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
+            self.advice = [*self.advice, advice][-self.config.remembered :]
+            error = self.fit()
             monitor.logger.record("student/cost", float(recording.cost.mean()))
             monitor.logger.record("student/left", 1 - float(recording.finished.mean()))
             monitor.logger.record("student/difference", error)
@@ -170,25 +173,9 @@ class Student:
             monitor.evaluate()
             monitor.log()
 
-    def learn_round(self) -> tuple[Recording, float]:
-        """Act, ask and fit. Return the moves, and the error of the fit."""
-        advice, recording = self.ask()
-        self.advice = [*self.advice, advice][-self.config.remembered :]
-        return recording, self.fit()
-
-    def ask(self) -> tuple[Advice, Recording]:
-        """Ask the teacher about this round's moves."""
-        return self.ask_about(NetworkPolicy(self.actor().weights()))
-
-    def ask_about(self, policy: Policy) -> tuple[Advice, Recording]:
-        """Ask the teacher about this round's moves, made by a policy."""
-        recording, recorder = self.move(policy)
-        advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
-        return advice, recording
-
-    def move(self, policy: Policy) -> tuple[Recording, Recorder]:
-        """Make this round's moves by a policy, on arms that no round has seen."""
-        config, recorder = self.config, Recorder(policy, self.pause)
+    def move(self) -> tuple[Recording, Recorder]:
+        """Make this round's moves, on arms that no round has seen."""
+        config, recorder = self.config, Recorder(NetworkPolicy(self.actor().weights()), self.pause)
         controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
         task = task_of(config.moves, config.sensors, config.randomization)
         if self.rounds % 2:
@@ -207,55 +194,34 @@ class Student:
     def close(self) -> None:
         """Do nothing: no arms are held."""
 
-    def _share_done(self, share: float) -> float:
-        """Share of the fitting that is done, of the share of this round that is."""
-        return (self.rounds + share) / self.config.rounds
-
     def fit(self) -> float:
-        """Fit the student to the advice of the last rounds, and return the weighted squared error of the last pass."""
+        """Fit the student to the advice of the last rounds.
+
+        Returns:
+            Mean weighted squared error of the last pass.
+
+        Raises:
+            ValueError: If it is not finite.
+        """
         config, network = self.config, self._regression.network
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
         if self.rounds == 0:  # the average takes over what is no weight with its next step
             network.set_scales(inputs.float())
 
-        def loss_of(chosen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
-            error = (answers - labels[:, chosen].to(config.device)) * config.residual_limit
-            weight = weights[:, chosen].to(config.device)
-            losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
-            return (weight * losses).mean().mul(_SCALE), (weight * error.detach().square()).mean()
-
-        return self._descend(self._regression, labels.shape[1], loss_of, self._share_done)
-
-    def _descend(
-        self,
-        regression: Regression,
-        episodes: int,
-        loss_of: Callable[[torch.Tensor], tuple[torch.Tensor, torch.Tensor]],
-        share_done: Callable[[float], float],
-    ) -> float:
-        """Make gradient steps on batches of a round's episodes, and return the mean error of the last pass.
-
-        Args:
-            regression: What is fitted.
-            episodes: Their number.
-            loss_of: Loss and error of some of them.
-            share_done: Share of all fitting that is done, of the share of this round's that is.
-
-        Raises:
-            ValueError: If the error is not finite.
-        """
-        config, errors = self.config, list[float]()
-        regression.network.to(config.device)
+        errors, episodes = list[float](), labels.shape[1]
+        network.to(config.device)
         batches = -(-episodes // config.batch_size)
         for epoch in range(config.epochs):
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
                 self.pause(0)
-                loss, error = loss_of(chosen)
-                share = (epoch + batch / batches) / config.epochs
-                regression.step(loss, config.learning_rate_left(1 - share_done(share)))
-                errors.append(float(error))
-        regression.network.to("cpu")
+                answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
+                error = (answers - labels[:, chosen].to(config.device)) * config.residual_limit
+                weight = weights[:, chosen].to(config.device)
+                losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
+                share_done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
+                self._regression.step((weight * losses).mean().mul(_SCALE), config.learning_rate_left(1 - share_done))
+                errors.append(float((weight * error.detach().square()).mean()))
+        network.to("cpu")
         mean = float(np.mean(errors[-batches:])) if errors else 0.0
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")

@@ -27,7 +27,7 @@ from beltarm_env.task.shift import MOST_MOVES
 
 MADE_FOR = {"format": "beltarm-policy", "version": 4, "layout": LAYOUT, "edition": EDITION}
 """What must be the same here for a policy to be used."""
-ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "rma": False, "sac": True, "student": False}
+ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}
 """Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
 _COUNT, _TIME = (kind | {"minimum": 0, "maximum": 10**15} for kind in (INTEGER, NUMBER))
 _RUN = {"steps": _COUNT, "seconds": _TIME}

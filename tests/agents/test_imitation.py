@@ -1,4 +1,4 @@
-"""Learning from a teacher, as `student` and `rma` do: the advice, the fits, what is told of an arm, and the runs."""
+"""Learning from a teacher, as `student` does: the advice, the fits, and the runs."""
 
 from __future__ import annotations
 
@@ -18,35 +18,28 @@ from trainings import StopAfter, run, tiny, weights
 import agents.learners.student
 import agents.runs.training
 from agents.learners import teaching
-from agents.learners.registry import ALGORITHMS
-from agents.learners.rma import Memory, PrivilegedActor, Rma, merged, scaled_constants
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.settings import task_of
 from agents.runs.training import News
 from baselines import CONTROLLERS
 from baselines.engines.parallel import Interrupted
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
-from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv, design_model
-from beltarm_env.arm import COLUMN, FIELDS, plant_of
+from beltarm_env import EPISODE_STEPS, design_model
+from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.report.curves import find_curves
 
 SEED = 5_700_000
 ARMS = 6
-SHAPE = ActorShape(inputs=5, hidden=(7, 6), gru=4, standardised=True)
-LATENT, CONSTANTS = 3, 9
-KINDS = ("student", "rma")
 
 
 class Constant:
@@ -196,74 +189,12 @@ class TestFit:
         assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
-def shaken(network: Any) -> Any:
-    """Network with weights and scales drawn anew."""
-    generator = torch.Generator().manual_seed(3)
-    for parameter in network.parameters():
-        parameter.data = 0.4 * torch.randn(parameter.shape, generator=generator)
-    network.mean = torch.randn(network.mean.shape, generator=generator)
-    network.deviation = 0.5 + torch.rand(network.deviation.shape, generator=generator)
-    return network.requires_grad_(False)
-
-
-def table(arms: int = 400) -> np.ndarray[Any, Any]:
-    env = BeltArmVectorEnv(arms, randomization="train")
-    env.reset(seed=SEED)
-    return env.params_table
-
-
-def test_the_privileged_policy_knows_all_that_varies():
-    """Every constant of the training ranges, and none of the others, changes its input; a full turn does not."""
-    rows = table(1)
-    for name in FIELDS:
-        other = rows.copy()
-        column = getattr(COLUMN, name)
-        other[:, column] = 0.9 * other[:, column] + 0.01
-        assert (scaled_constants(other) != scaled_constants(rows)).any() == (name in TRAIN_RANGES), name
-        if name.endswith("_phase"):
-            other[:, column] = rows[:, column] + 2 * np.pi
-            np.testing.assert_allclose(scaled_constants(other), scaled_constants(rows), atol=1e-6)
-
-
-def test_the_privileged_policy_knows_the_very_arms_that_are_moved(tmp_path: Path):
-    learner = Rma(tiny("rma", tmp_path))
-    actual: list[Any] = []
-    original = learner.move
-
-    def move(policy: Any) -> Any:
-        recording, recorder = original(policy)
-        actual.extend((policy._constants, scaled_constants(recording.params)))
-        return recording, recorder
-
-    learner.move = move
-    learner.ask()
-    np.testing.assert_array_equal(*actual)
-
-
-def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
-    privileged = shaken(PrivilegedActor(SHAPE, CONSTANTS, LATENT))
-    memory = shaken(Memory(SHAPE, LATENT))
-    memory.mean, memory.deviation = privileged.mean[:5], privileged.deviation[:5]
-    actor = merged(privileged, memory, SHAPE)
-    inputs = 2 * torch.randn(40, 6, 5, generator=torch.Generator().manual_seed(1))
-    guess = memory(inputs)
-    observed = ((inputs - memory.mean) / memory.deviation).clamp(-5, 5)
-    expected = privileged.policy(torch.cat([observed, guess], dim=-1))
-    assert expected.std() > 0.1 and guess.std() > 0.1
-    np.testing.assert_allclose(actor(inputs).numpy(), expected.numpy(), atol=2e-5)
-    policy, state, residuals = NetworkPolicy(actor.weights()), None, []
-    for seen in inputs.numpy():
-        residual, state = policy.predict(seen, state)
-        residuals.append(residual)
-    np.testing.assert_allclose(residuals, expected.clamp(-1, 1).numpy(), atol=2e-5)
-
-
 # Runs
 
 
-@pytest.fixture(scope="module", params=KINDS)
-def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, list[int]]:
-    """A run that nothing has interrupted: its kind, its folder, and the seeds of its trials."""
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
+    """A run that nothing has interrupted: its folder, and the seeds of its trials."""
     folder, seeds = tmp_path_factory.mktemp("whole") / "run", []
 
     def noted(controller: Controller, arms: int, *, seed: int, **settings: Any) -> Recording:
@@ -272,18 +203,17 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(agents.learners.student, "rollout", noted)
-        run(tiny(request.param, folder))
-    return request.param, folder, seeds
+        run(tiny("student", folder))
+    return folder, seeds
 
 
-def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[str, Path, list[int]], tmp_path: Path):
+def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]], tmp_path: Path):
     """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
-    name, folder, _ = whole
-    config = tiny(name, tmp_path)
+    folder, _ = whole
+    config = tiny("student", tmp_path)
     holds = EPISODE_STEPS // config.hold
     first_round = holds + config.arms + config.epochs * config.arms // config.batch_size
-    moments = {"student": (17, holds + 2, first_round - 1, first_round + 10), "rma": (17, 53, 38, 52, holds + 2)}
-    for number, looks in enumerate(moments[name]):
+    for number, looks in enumerate((17, holds + 2, first_round - 1, first_round + 10)):
         with pytest.raises(Interrupted, match=r"interrupted at \d+ steps"):
             run(replace(config, resume=number > 0), StopAfter(looks))
         torch.manual_seed(9)
@@ -294,15 +224,15 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[str, Path, list[i
     np.testing.assert_array_equal(ours, theirs)
 
 
-def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[str, Path, list[int]]):
-    name, folder, seeds = whole
+def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[Path, list[int]]):
+    folder, seeds = whole
     trained = load_controller(folder / "last")
     spec, _ = read_spec(folder / "last")
-    assert (spec.algorithm, spec.base, spec.gru) == (name, "paper", 6)
+    assert (spec.algorithm, spec.base, spec.gru) == ("student", "paper", 6)
     scores = agents.runs.training.validate(trained, 2, task_of(1))
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
     (curve,) = find_curves([folder])
-    assert curve.method == f"{name} on paper"
+    assert curve.method == "student on paper"
     assert curve.steps[:3].tolist() == [0, 4 * EPISODE_STEPS, 2 * 4 * EPISODE_STEPS]
     assert seeds == [4 * k for k in range(len(seeds))] != [], "every round has arms of its own, trials of four"
 
@@ -321,10 +251,9 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
         run(replace(config, resume=True, remembered=3))
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
+def test_the_untrained_policy_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
-    config: Any = ALGORITHMS[name](out=tmp_path)
+    config = StudentConfig(out=tmp_path)
     policy = NetworkPolicy(config.make_learner().actor().weights())
     untrained = ResidualController(CONTROLLERS["adaptive"](), policy, config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)

@@ -61,7 +61,7 @@ def test_every_variant_has_its_seeds_and_its_first_before_any_second():
 
 
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
-    for name in ("default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"):
+    for name in ("default", "ppo", "ppo-nothing", "sac", "gru-0"):
         script, *options = Run(BY_NAME[name], 0, 2_000_000, tmp_path).words
         config = parse(ALGORITHMS[Path(script).stem], arguments=options)
         assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01), name

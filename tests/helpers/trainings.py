@@ -13,7 +13,7 @@ from agents.runs.settings import RunConfig
 from agents.runs.training import TrainingMonitor, train
 from baselines.engines.parallel import Channel, StopRequest
 
-NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
+NAMES = tuple(name for name in ALGORITHMS if name != "student")  # which has tests of its own
 ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
 OFF_POLICY = {"batch_size": 64, "buffer_size": 200, "learning_starts": 32, "gradient_steps": 1}
 REINFORCEMENT = {
@@ -29,7 +29,6 @@ OWN: dict[str, dict[str, Any]] = {
     "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8},
     "sac": {**REINFORCEMENT, **OFF_POLICY},
     "student": IMITATION,
-    "rma": {**IMITATION, "rounds": 3, "privileged_share": 0.6, "latent": 3},
 }
 SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
 TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")

@@ -23,7 +23,7 @@ COMMANDS = [
     if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path.stem not in ("study", "export")
 ]
 COMMANDS += [f"eval/study.py {name}" for name in names()]
-TRAININGS = [f"train/{name}.py" for name in ("ppo", "recurrent_ppo", "rma", "sac", "student")]
+TRAININGS = [f"train/{name}.py" for name in ("ppo", "recurrent_ppo", "sac", "student")]
 
 
 def help_of(command: str, capfd: pytest.CaptureFixture[str]) -> str:

@@ -69,7 +69,6 @@ DEFAULT = Variant("default", "default", "default")
 _ALL = ("--residual-limit", "1.0")
 VARIANTS = (
     DEFAULT,
-    Variant("rma", "learner", "RMA, on adaptive", script="rma", once=True),
     Variant("ppo", "learner", "PPO, on paper", script="ppo"),
     Variant("ppo-nothing", "sight", "nothing", ("--knowledge", "none"), "ppo", once=True),
     Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo", once=True),
