@@ -62,13 +62,13 @@ PART_MASS = (0.05, 0.5)
 """Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""
 
 PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
-"""Range of a motor that gives before it slips; not among `TRAIN_RANGES`, those of a single move."""
+"""Range of a motor that gives before it slips [rad]; not among `TRAIN_RANGES`, those of a single move."""
 
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
-"""Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""
+"""Ranges of the arms that single moves are trained on: arm and drive."""
 
 SHIFT_RANGES: Ranges = {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
-"""Ranges of the arms of a working shift, whose motors give before they slip: of training, and of the split `shift`."""
+"""Ranges of the arms that shifts are tuned, trained and compared on (split `shift`): motors give before they slip."""
 
 
 def training_ranges(moves: int) -> Ranges:
