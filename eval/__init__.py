@@ -1,1 +1,1 @@
-"""The comparison, and what its scripts share."""
+"""Evaluation: the comparison, studies, exports, and measurements of speed."""

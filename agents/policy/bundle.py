@@ -1,10 +1,10 @@
 """Policies as folders: a trained residual policy in one file, loaded without executing anything, and its card.
 
-    policy.safetensors   weights of the network that acts, and in the header what the policy is and how it came about,
-                         with a SHA-256 of both (`agents.tensor_file`, `agents.policy.description`)
-    README.md            the same as a card to read, see `agents.policy.card`; it is not read here
+    policy.safetensors   weights of the network that acts; in the header what the policy is, with a SHA-256 of both
+    README.md            the same as a card to read; it is not read here
 
-A policy is either what was saved or refused. Replacing its file is the instant at which it is replaced.
+See `agents.tensor_file`, `agents.policy.description` and `agents.policy.card`. A policy is either what was saved or
+refused. Replacing its file is the instant at which it is replaced.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Tools of all commands: files, provenance, command lines, progress, and tasks side by side."""
+"""Tools of all commands: files, schemas, provenance, options, progress."""

@@ -62,7 +62,7 @@ PART_MASS = (0.05, 0.5)
 """Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""
 
 PRESLIDING: Ranges = {"presliding_deflection": (0.0003, 0.005)}
-"""Range of a motor that gives before it slips; not among `TRAIN_RANGES`."""
+"""Range of a motor that gives before it slips [rad]; not among `TRAIN_RANGES`."""
 
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 """Ranges of single moves, "train": arm and drive."""

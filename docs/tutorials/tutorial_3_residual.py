@@ -58,8 +58,7 @@ model.learn(80_000)
 # What it has learned
 # -------------------
 # All on the same fifty arms, which training never saw: base, our agent, and the shipped agents
-# after a whole training. ``ppo`` corrects the same base, ``student`` corrects ``adaptive``, the
-# best classical controller.
+# after a whole training. These two correct ``adaptive``, the best classical controller.
 
 from agents.policy.bundle import POLICIES, load_controller
 

@@ -115,7 +115,7 @@ for axes in (torque, angle):
 
 # %%
 # No motor can have stood still like that under such a torque. The guard lets the torque go, and friction
-# stops the motor. :doc:`The guard's study </results/guard/page>` has nine faults.
+# stops the motor. :doc:`The guard's study </results/guard/page>` has eight faults.
 #
 # :doc:`From the comparison to the motor </guide/export>` goes on from here: the interrupt of a drive, what to
 # check before a motor is connected, and the arm itself for other simulators.
