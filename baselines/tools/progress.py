@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 _Thing = TypeVar("_Thing")
+_LINE_EVERY = 15.0  # [s], where there is no terminal
 
 
 class ProgressRows:
@@ -39,11 +42,19 @@ def progress_rows(names: Iterable[str], total: float, console: Console | None = 
 
 @contextmanager
 def progress_count(name: str, console: Console) -> Iterator[Callable[[int, int], None]]:
-    """Show how many of some things are done, on a terminal and until all are: call with their number and the total."""
+    """Show how many of some things are done, until all are: call with their number and the total.
+
+    Where `console` is no terminal, errors get a line now and then.
+    """
     display = Progress(console=console, transient=True, disable=not console.is_terminal)
     row = display.add_task(name, total=None)
+    said = time.monotonic()
 
     def show(done: int, total: int) -> None:
+        nonlocal said
+        if display.disable and time.monotonic() - said > _LINE_EVERY:
+            said = time.monotonic()
+            print(f"{name}: {done} of {total}", file=sys.stderr, flush=True)
         display.update(row, completed=done, total=total)
         display.start()
 
@@ -53,10 +64,13 @@ def progress_count(name: str, console: Console) -> Iterator[Callable[[int, int],
         _stop(display)
 
 
-def progress_over(name: str, things: Iterable[_Thing], console: Console | None = None) -> Iterable[_Thing]:
-    """Go through things, and show on a terminal how many are done; by default on that of the errors."""
-    console = console or Console(stderr=True)
-    return track(list(things), name, console=console, transient=True, disable=not console.is_terminal)
+def progress_over(name: str, things: Iterable[_Thing], console: Console | None = None) -> Iterator[_Thing]:
+    """Go through things, and show how many are done, see `progress_count`; by default among the errors."""
+    listed = list(things)
+    with progress_count(name, console or Console(stderr=True)) as show:
+        for number, thing in enumerate(listed):
+            show(number, len(listed))
+            yield thing
 
 
 def _stop(display: Progress) -> None:

@@ -21,7 +21,7 @@ from refusals import refused
 
 from baselines.gains import tuned
 from baselines.registry import TUNABLE
-from baselines.tools import provenance
+from baselines.tools import progress, provenance
 from baselines.tools.files import (
     read_arrays,
     read_sealed,
@@ -194,6 +194,15 @@ class TestSchema:
         with pytest.raises(ValueError, match=rf"^the book: \${words}") as caught:
             check({**GOOD, **change}, "the book", BOOK)
         assert "\n" not in str(caught.value)
+
+
+def test_where_there_is_no_terminal_lines_say_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    assert list(progress.progress_over("letters", "ab")) == ["a", "b"] and capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "_LINE_EVERY", -1.0)
+    assert list(progress.progress_over("letters", "ab")) == ["a", "b"]
+    assert capsys.readouterr().err.splitlines() == ["letters: 0 of 2", "letters: 1 of 2"]
 
 
 def git(folder: Path, *words: str) -> str:
