@@ -6,6 +6,7 @@ A controller is made without arguments and called as Stable-Baselines3 calls a p
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -246,15 +247,27 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
     """Yield each sample of some arms, before they move, for at most an episode; `seed` and settings as of `rollout`.
 
     An arm that leaves its workspace begins a new episode.
+
+    Raises:
+        ValueError: If `predict` cannot be called as `Controller` is, or does not return two things.
     """
+    try:
+        inspect.signature(controller.predict).bind(None, None, None)
+    except TypeError as error:
+        raise ValueError(f"predict must take (observation, state, episode_start, deterministic): {error}") from None
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     observation, _ = env.reset(seed=seed)
     memory: Any = None
     start = np.ones(num_arms, np.bool_)
     for _ in range(steps):
         given, began = observation.copy(), time.perf_counter()
-        action, memory = controller.predict(given, memory, start)
-        yield Sample(observation, given, start, action, time.perf_counter() - began)
+        answer = controller.predict(given, memory, start)
+        seconds = time.perf_counter() - began
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            got = type(answer).__name__
+            raise ValueError(f"predict must return (torques, state), where state is None without a memory; got {got}")
+        action, memory = answer
+        yield Sample(observation, given, start, action, seconds)
         observation, _, start, truncated, _ = env.step(action)
         if start.any() and not truncated.any():
             observation, _ = env.reset(options={"reset_mask": start})

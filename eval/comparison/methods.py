@@ -177,7 +177,7 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
         if folder.suffix == ".zip":
             raise ValueError(
                 f"{folder} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
-                "controller, and give that with --add (README.md, 'A model of your own')"
+                "controller, and give that with --add (docs/guide/faq.md, 'A controller or policy of mine')"
             )
         spec, content = read_spec(folder)
         if spec.sensors != "encoder":

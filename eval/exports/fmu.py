@@ -22,6 +22,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.tools.files import write_atomically
+from baselines.tools.progress import progress_over
+from baselines.tools.schema import in_a_line
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
 from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.engine.translation.program import Program
@@ -74,9 +76,11 @@ def export(options: Options) -> None:
     """
     require_free(options.out)
     params = ArmParams()
-    content, platforms = packed(params)
+    content, platforms, failed = packed(params)
     write_export(options.out, "arm", "The arm of beltarm as an FMU", params, {"beltarm.fmu": content})
     print(f"written to {options.out}: beltarm.fmu, for {', '.join(platforms)}")
+    for platform_name, reason in failed.items():
+        print(f"not for {platform_name}: {in_a_line(reason)}", file=sys.stderr)
 
 
 class Variable(NamedTuple):
@@ -183,28 +187,29 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
     Raises:
         ValueError: If there is no compiler, or it fails.
     """
-    content, platforms = packed(params)
+    content, platforms, _ = packed(params)
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
     return platforms
 
 
-def packed(params: ArmParams) -> tuple[bytes, list[str]]:
-    """Compile an arm's FMU and pack it; returns the platforms of its binaries too, see `write_fmu`."""
+def packed(params: ArmParams) -> tuple[bytes, list[str], dict[str, str]]:
+    """Compile an arm's FMU and pack it; return the platforms of its binaries too, and why others failed."""
     texts = fmu_texts(params)
     files = {name: text.encode() for name, text in texts.items()}
-    made = []
+    made, failed = list[str](), dict[str, str]()
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
         sources = [Path(folder) / "fmu.c"]
-        for kind, suffix, toolchain in _toolchains():
+        for kind, suffix, toolchain in progress_over("platforms", _toolchains()):
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)
             try:
                 toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
-            except ValueError:
+            except ValueError as error:
                 if not made:  # only this machine's own is needed
                     raise
+                failed[kind] = str(error)
                 continue
             files[f"binaries/{kind}/{library.name}"] = library.read_bytes()
             made.append(kind)
@@ -212,4 +217,4 @@ def packed(params: ArmParams) -> tuple[bytes, list[str]]:
     with zipfile.ZipFile(archive, "w") as opened:
         for name, content in files.items():
             opened.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
-    return archive.getvalue(), made
+    return archive.getvalue(), made, failed

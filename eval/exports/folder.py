@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import replace_folder
+from baselines.tools.files import replace_folder, require_writable
 from baselines.tools.provenance import command_line, software
 from beltarm_env import ArmParams
 from beltarm_env.task.ranges import EDITION
@@ -38,9 +37,7 @@ def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> No
         known = False
     if folder.exists() and any(folder.iterdir()) and not known:
         raise ValueError(f"{folder} holds other files: choose an empty folder for --out, or one of an earlier export")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder.parent, os.W_OK):
-        raise OSError(f"cannot write to {folder.parent}; choose another folder")
+    require_writable(folder.parent)
 
 
 def write_export(folder: Path, name: str, title: str, params: ArmParams, files: dict[str, bytes]) -> None:
@@ -55,7 +52,7 @@ def write_export(folder: Path, name: str, title: str, params: ArmParams, files: 
         "format": FORMAT,
         "name": name,
         "title": title,
-        "edition": EDITION,
+        "arm_edition": EDITION,
         "gear_ratio": params.gear_ratio,
         "torque_limit": params.torque_limit,
         "command": command_line(),

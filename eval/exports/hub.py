@@ -95,7 +95,7 @@ def export(options: Options) -> None:
     files = files_of(options, scores)
     write_folder(out, files)
     if scores is None:
-        print(f"without scores: `{compare_command([options.policy])}` makes some, for --results")
+        print(f"without scores: `{compare_command([options.policy])}` makes some, for --results (and --overwrite)")
     print(f"written to {out}: {', '.join(sorted(files))}")
     print(f"to upload it: {shlex.join(['hf', 'upload', options.repo_id or 'ORG/NAME', str(out)])}")
 

@@ -101,8 +101,8 @@ class Loop:
         """
         if not _NAME.fullmatch(self.name) or not (TAKEN | RESERVED).isdisjoint(self.public):
             raise ValueError(
-                f"--name must be a name of C and C++, letters and digits with single _ between them, that means "
-                f"nothing else, such as {self.name.lower().strip('_') or 'arm'}_a; got {self.name!r}"
+                f"--name must be a name of C and C++, a letter and then letters and digits with single _ between them, "
+                f"that means nothing else, such as my_arm; got {self.name!r}"
             )
 
     @property

@@ -83,7 +83,7 @@ def publish(
 def print_results(content: dict[str, Any], console: Console) -> None:
     """Print the main split, best method first, and the verdict."""
     results = Results(content)
-    console.print(to_terminal(results.main_table()))
+    console.print(to_terminal(results.main_table(), console.width))
     for sentence in content["verdict"]:
         console.print(escape(sentence), style="bold", highlight=False)
     console.print(escape(results.note), highlight=False)
@@ -91,10 +91,12 @@ def print_results(content: dict[str, Any], console: Console) -> None:
     few = f" {episodes} of {EPISODES} scenarios show less than all." if episodes < EPISODES else ""
     least = f" (of {LEAST_OF_TAIL} scenarios or more)" if episodes < LEAST_OF_TAIL else ""
     console.print(
-        "*: best of its column; =: not shown to differ from it, in the paired test after Holm's correction. Cost: "
+        "*: best of its column; =: not shown to differ from it, in a paired test of interquartile means on this split; "
+        "the verdict tests the means as well, and is corrected for all splits. Cost: "
         "minus the return (errors of the arm's end, and changes of the torque), averaged over the middle half of all "
         f"runs; mean: over all runs; worst 5 %: over the worst of them{least}; residual p-p: vibration after the move, "
-        f"of arms that arrive, within {1000 * ARRIVAL_BOUND:g} mm in the mean.{few}",
+        f"of arms that arrive, within {1000 * ARRIVAL_BOUND:g} mm in the mean; fail: the arm's end never stays within "
+        f"{1000 * SETTLING_BAND:g} mm; left: runs in which the arm left its workspace.{few}",
         style="dim",
         highlight=False,
     )

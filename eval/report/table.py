@@ -28,7 +28,7 @@ from eval.report.text import cell, markdown_table, number, numbers
 
 _MARKDOWN = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 _TERMINAL = {"best": "[bold]{}*[/bold]", "tie": "[underline]{}=[/underline]"}
-_NAME_WIDTH, _HEAD_WIDTH = 24, 7  # columns of a terminal: a long name is cut, and no number
+_NAME_WIDTH, _LEAST_NAME_WIDTH, _HEAD_WIDTH = 24, 8, 7  # columns of a terminal: a long name is cut, and no number
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +88,19 @@ def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False) ->
     return markdown_table(["method", *table.columns], rows)
 
 
-def to_terminal(table: Table) -> TerminalTable:
-    """Render a table for the terminal: a star marks the best of a column, an equals sign a tie."""
+def to_terminal(table: Table, columns: int) -> TerminalTable:
+    """Render a table for a terminal of some columns: a star marks the best of a column, an equals sign a tie."""
     shown = TerminalTable(
         title=table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
     )
-    shown.add_column("method", no_wrap=True, max_width=_NAME_WIDTH)
-    for column in table.columns:
-        head = "\n".join(textwrap.wrap(column, _HEAD_WIDTH, break_long_words=False))
-        shown.add_column(head, justify="right", no_wrap=True)
+    heads = [textwrap.wrap(column, _HEAD_WIDTH, break_long_words=False) for column in table.columns]
+    texts = [[f"{cell.text} " for cell in row.cells] for row in table.rows]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    widths = [max(width, *map(len, head)) for width, head in zip(widths, heads, strict=True)]
+    for_name = min(max(columns - sum(width + 1 for width in widths), _LEAST_NAME_WIDTH), _NAME_WIDTH)
+    shown.add_column("method", no_wrap=True, max_width=for_name)
+    for head, width in zip(heads, widths, strict=True):
+        shown.add_column("\n".join(head), justify="right", no_wrap=True, min_width=width)
     for row in table.rows:
         cells = [_TERMINAL.get(cell.mark, "{} ").format(escape(cell.text)) for cell in row.cells]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")

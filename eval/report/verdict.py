@@ -25,6 +25,7 @@ from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
+from eval.comparison.splits import EPISODES
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
 
 Result = Literal["better", "worse", "open"]
@@ -35,6 +36,7 @@ _WORDS: dict[str, Any] = {
     "KINDS": {"learned": "learned method", "added": "added controller"},
     "practically_equal": _PRACTICALLY_EQUAL,
     "least": LEAST_SCENARIOS,
+    "whole": EPISODES,
     "arrival_mm": f"{1000 * ARRIVAL_BOUND:g}",
     "still_mm": f"{1000 * STILL_BAND:g}",
 }
@@ -114,7 +116,7 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     of_kind = [outcome for outcome in ranked if outcome.method.kind == pair[0].method.kind]
     leads = min(of_kind, key=lambda outcome: outcome.cost) is pair[0], best is pair[1]
     of_own = _tested([(outcome, best) for outcome in own if best], "cost")
-    sentences = _sentences(tests=tests, leads=leads, own=of_own, **words)
+    sentences = _sentences(tests=tests, leads=leads, own=of_own, episodes=episodes, **words)
     return sentences, [test.row() for of_metric in tests.values() for test in of_metric.values()]
 
 
