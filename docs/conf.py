@@ -110,8 +110,9 @@ PAGES = {
     "SECURITY.md": "security",
     "CHANGELOG.md": "changelog",
     "CITATION.cff": "citing",
+    "docs/tutorials": "gallery/index",
 }
-"""Files outside docs/ that a page of the site includes."""
+"""Files outside docs/ that a page of the site includes, and the folder that the gallery shows."""
 
 
 def adapt_page(app: Sphinx, doctree: nodes.document) -> None:
@@ -152,6 +153,10 @@ def adapt_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, l
     """Leave out what is below Markdown headings, which another page includes, and colons that stand for no type."""
     start = next((k for k, line in enumerate(lines) if line.startswith("## ")), len(lines))
     del lines[start:]
+    if what == "module":  # what its docstring indents, such as formulas, is shown as it is written
+        blocks = [k for k in range(2, len(lines)) if lines[k].startswith("    ") and lines[k - 1 : k] == [""]]
+        for k in reversed([k for k in blocks if not lines[k - 2].startswith(" ")]):
+            lines[k:k] = ["::", ""]
     values = [0] if what in ("attribute", "data", "property") else []
     values += [k + 1 for k, line in enumerate(lines) if line.strip() == "Returns:"]
     for k in values:

@@ -224,6 +224,7 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         drawing=_DRAWING.name,
         vibration=heading("residual_pp_mm"),
         band_mm=1000 * SETTLING_BAND,
+        still_mm=1000 * STILL_BAND,
         episode_s=EPISODE_TIME,
         splits=[(name, SPLITS[name].description) for name in results.splits],
         tables=[results.across_splits(metric) for metric in PAIRED_METRICS],
