@@ -1,7 +1,5 @@
 """Learning from a teacher, as `student` and `rma` do: the advice, the fits, what is told of an arm, and the runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

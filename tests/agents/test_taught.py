@@ -1,7 +1,5 @@
 """PPO that goes on from a teacher's advice: what it begins with, what waits, a run that is stopped, its options."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Command lines within the process of the tests: a user's mistakes are many, and starting Python takes seconds."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

@@ -1,7 +1,5 @@
 """The examples as a user runs them, with small budgets; `my_controller.py` is in `test_check_controller.py`."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

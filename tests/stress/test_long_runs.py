@@ -1,7 +1,5 @@
 """Whole episodes under adversarial torques: arms of a batch as arms alone, and the same on another processor."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess
