@@ -1,7 +1,5 @@
 """Tiny training runs: their options, a stop at a chosen moment, and the weights that they leave."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path
@@ -26,8 +24,8 @@ IMITATION = {
 }
 OWN: dict[str, dict[str, Any]] = {
     "ppo": {**REINFORCEMENT, **ON_POLICY},
-    "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8},
-    "sac": {**REINFORCEMENT, **OFF_POLICY},
+    "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8, "knowledge": "none"},
+    "sac": {**REINFORCEMENT, **OFF_POLICY, "knowledge": "none"},
     "student": IMITATION,
     "rma": {**IMITATION, "rounds": 3, "privileged_share": 0.6, "latent": 3},
 }
