@@ -1,14 +1,12 @@
 """Whatever the arm, the move and the torque: numbers within their bounds, and the same without a compiler."""
 
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import python
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from properties import examples
@@ -151,14 +149,7 @@ def test_without_compiler_the_very_same_numbers_and_types(tmp_path: Path):
     exec(STICK_SLIP, compiled)
     speeds = np.array(compiled["speeds"])
     assert (speeds == 0).any() and (speeds > 1).any() and (speeds < -1).any(), "the motor sticks, slips and reverses"
-    ran = subprocess.run(
-        [sys.executable, "-W", "error", "-c", STICK_SLIP + PLAIN],
-        cwd=tmp_path,
-        env={**os.environ, "BELTARM_ENGINE": "plain", "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
-    assert ran.returncode == 0, ran.stderr
+    python("-W", "error", "-c", STICK_SLIP + PLAIN, cwd=tmp_path, path=(ROOT,), BELTARM_ENGINE="plain")
     with np.load(tmp_path / "plain.npz") as plain:
         assert len(plain.files) == len(compiled["returned"])
         for name, array in zip(plain.files, compiled["returned"], strict=True):

@@ -64,6 +64,11 @@ def weights(folder: Path) -> dict[str, bytes]:
     return {name: array.tobytes() for name, array in read_bundle(folder).weights.arrays.items()}
 
 
+def same_policies(first: Path, second: Path) -> bool:
+    """Whether two runs leave the same weights."""
+    return all(weights(first / kind) == weights(second / kind) for kind in ("best", "last"))
+
+
 def in_memory() -> tempfile.TemporaryDirectory[str]:
     """Make an empty folder, in memory where there is a place: what is often written waits for no disk."""
     return tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)
