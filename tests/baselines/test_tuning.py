@@ -146,7 +146,7 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     result = search(KIND, budget, 0, journal)
     assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
     assert result.steps <= budget
-    search(KIND, 2 * budget, 0, tmp_path / "whole")
+    search(KIND, budget + MIN_BUDGET, 0, tmp_path / "whole")
     ours, theirs = (finished(OneGain, 0, path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
