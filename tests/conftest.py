@@ -1,7 +1,5 @@
 """What all tests need."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import io

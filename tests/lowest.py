@@ -1,7 +1,5 @@
 """Print the lowest version that pyproject.toml allows of each package that it names, for pip."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Policies in files: what they hold, what is refused, that loading executes nothing, and their cards."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

@@ -1,7 +1,5 @@
 """Learners: actors of their policies, bundles, seeds, rates, options that are refused, and the search for options."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The learned observer: what it estimates, that it knows how far it is off, and its files."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as ONNX models."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

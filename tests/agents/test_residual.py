@@ -1,7 +1,5 @@
 """The residual: zero is the base, one arm is a batch is a controller, what the agent observes, and SB3's protocol."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace

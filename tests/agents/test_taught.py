@@ -1,14 +1,12 @@
 """PPO that goes on from a teacher's advice: what it begins with, what waits, a run that is stopped, its options."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from trainings import StopAfter, run, tiny, weights
+from trainings import StopAfter, run, same_policies, tiny
 
 from agents.learners.ppo import TAUGHT, PpoConfig
 from agents.learners.taught import TaughtLearner
@@ -66,8 +64,7 @@ def test_a_run_that_is_stopped_in_either_part_goes_on_as_if_it_had_not_been(tmp_
         torch.manual_seed(9)
     assert stops > 1
     run(replace(config, resume=True))
-    for kind in ("best", "last"):
-        assert weights(tmp_path / "whole" / kind) == weights(tmp_path / "parts" / kind)
+    assert same_policies(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_options_that_are_not_given_are_those_for_a_good_base():

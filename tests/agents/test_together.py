@@ -1,7 +1,5 @@
 """Policies that act together, and a residual as a kernel for one arm: what each does by itself, bit for bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast

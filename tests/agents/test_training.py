@@ -1,7 +1,5 @@
 """Training runs: what is learnt is reproducible, a run that is stopped goes on as if it had not been."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -10,7 +8,6 @@ import pydoc
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +18,8 @@ import pytest
 import torch
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import NAMES, TINY, run, tiny, weights
+from trainings import NAMES, TINY, run, same_policies, tiny, weights
+from waiting import until
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
@@ -85,17 +83,15 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, mon
         assert ours.keys() == theirs.keys() and len(ours)
         assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
     assert costs(whole) == costs(parts) and len(costs(whole)) == 3
-    for kind in ("best", "last"):
-        assert weights(tmp_path / "whole" / kind) == weights(tmp_path / "parts" / kind)
+    assert same_policies(tmp_path / "whole", tmp_path / "parts")
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
-    command, deadline = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY], time.monotonic() + 300
+    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) as process:
-        while not (tmp_path / "run/checkpoint.pkl").exists() and time.monotonic() < deadline:
-            time.sleep(0.05)
+        until((tmp_path / "run/checkpoint.pkl").exists, 300)
         process.kill()
     for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
         (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
@@ -306,16 +302,17 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     assert [each.resume for each in going_on.values()] == [True, False], "one that was waiting begins"
 
 
-def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """With the very options that it was begun with, which are not those of resuming."""
-    config = tiny("ppo", tmp_path / "run")
+    config = tiny("ppo", tmp_path / "run", total_steps=128)
     with pytest.raises(Interrupted):
-        run(config, StopAt(128, monkeypatch))
+        run(config, StopAt(64, monkeypatch))
     monkeypatch.undo()
     end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
-    assert end.steps == 256
-    run(tiny("ppo", tmp_path / "whole"))
-    assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
+    assert end.steps == 128
+    assert weights(tmp_path / "run/last") == weights(finished / "last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 
 

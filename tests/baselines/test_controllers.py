@@ -1,7 +1,5 @@
 """Every classical controller by name: one arm as in any batch, separate episodes, memory in `state`, data sheets."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -9,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +147,12 @@ class TestKernel:
         assert_law_of_one_arm(controller, apart, memory)
 
 
+@cache
+def measured(name: str, arms: Any) -> dict[str, Any]:
+    """Metrics of a controller on 32 arms."""
+    return rollout(CONTROLLERS[name](), 32, seed=SEED, randomization=arms).metrics()
+
+
 class TestDriving:
     @pytest.mark.parametrize("name", TUNABLE)
     def test_stabilises_the_nominal_arm_over_the_whole_range(self, name: str):
@@ -164,8 +168,7 @@ class TestDriving:
     def test_does_better_than_the_paper(self, name: str):
         """On the nominal arm, or, by what its margins leave of its gain, on the arms that it is for."""
         arms = "train" if name in ("retuned", "disturbance") else "off"
-        runs = [rollout(CONTROLLERS[kind](), 64, seed=SEED, randomization=arms) for kind in ("paper", name)]
-        paper, tuned = (run.metrics() for run in runs)
+        paper, tuned = (measured(kind, arms) for kind in ("paper", name))
         if name == "smooth":  # which does not even try to follow the task's profile closely
             assert np.median(tuned["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
         else:

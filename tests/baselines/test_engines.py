@@ -1,13 +1,10 @@
 """Tasks side by side on this machine: what holds anywhere, signals, folders; on Ray they are in `tests/stress`."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
 import subprocess
 import sys
-import time
 import zipfile
 from collections.abc import Iterator
 from functools import partial
@@ -18,6 +15,7 @@ import pytest
 from gymnasium.error import DependencyNotInstalled
 from refusals import refused
 from side_by_side import Anywhere, InWorkers, Place, go_on, square, where_it_works
+from waiting import until
 
 from baselines.engines import workplace
 from baselines.engines.options import WithStorage
@@ -63,7 +61,7 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
         piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         started = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, start_new_session=True, **piped)
         for name in "ab":
-            wait_for(tmp_path / name / "began")
+            until((tmp_path / name / "began").exists)
         yield started
         started.kill()
         started.communicate()
@@ -78,7 +76,7 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
     def test_tasks_stop_when_nobody_waits_for_them(self, process: subprocess.Popen[str], tmp_path: Path):
         process.kill()
         for name in "ab":
-            wait_for(tmp_path / name / "ended")
+            until((tmp_path / name / "ended").exists)
 
     def test_a_second_signal_ends_at_once(self):
         stop = StopRequest()
@@ -87,13 +85,6 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
             assert stop.made
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
-
-
-def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + 60
-    while not path.exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert path.exists()
 
 
 class TestRefusals:

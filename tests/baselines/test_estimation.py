@@ -1,7 +1,5 @@
 """Observers and the identification against the truth, with the encoder alone and with an accelerometer."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from functools import cache
 from itertools import pairwise

@@ -1,10 +1,9 @@
 """Linear loops of the classical controllers: each against its controller at work, margins against poles and latency."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Any, cast
 
 import control
@@ -19,15 +18,7 @@ from baselines.gains import tuned
 from baselines.loops.condition import MarginCondition, believing, least_margins
 from baselines.loops.laws import law_of
 from baselines.loops.margins import Margins, margins, margins_from_poles
-from baselines.loops.models import (
-    Loop,
-    System,
-    closed_poles,
-    is_stable,
-    law_system,
-    loop_at,
-    sampled_arm,
-)
+from baselines.loops.models import Loop, System, closed_poles, is_stable, law_system, loop_at, sampled_arm
 from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
@@ -55,6 +46,7 @@ def as_control(system: System) -> control.StateSpace:
     return control.StateSpace(system.a, system.b[:, None], system.c[None], system.d, CONTROL_PERIOD)
 
 
+@cache
 def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
     """A controller with its gains that believes in an arm without Coulomb friction, and in a motor without ripple."""
     if name in ("paper", "rigid"):
@@ -126,10 +118,17 @@ class TestAgainstTheController:
         check_pulse(name, k, replace(DRIVEN, command_latency=latency * CONTROL_PERIOD))
 
 
+@cache
 def untuned(name: str) -> Any:
     """A controller with the gains that its tuning begins with."""
     kind = TUNABLE[name]
     return kind.controller(kind.gains())
+
+
+@cache
+def usual(name: str) -> Any:
+    """A controller as it comes."""
+    return CONTROLLERS[name]()
 
 
 def bears(controller: Any, k: int, params: ArmParams, samples: float) -> bool:
@@ -141,14 +140,13 @@ def bears(controller: Any, k: int, params: ArmParams, samples: float) -> bool:
 @each_controller
 class TestMargins:
     def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
-        controller = CONTROLLERS[name]()
         for k in range(len(ANGLES)):
-            assert np.abs(closed_poles(loop_at(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
+            assert np.abs(closed_poles(loop_at(usual(name), k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
 
     @pytest.mark.parametrize("arm", ["design model", "payload, soft"])
     def test_are_those_of_the_frequency_response(self, name: str, arm: str):
         """As python-control has it, on a fine grid."""
-        loop = loop_at(CONTROLLERS[name](), 30, CORNERS[arm])
+        loop = loop_at(usual(name), 30, CORNERS[arm])
         actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 8000)
         law, plant = (np.asarray(as_control(each)(np.exp(1j * turns))) for each in loop)
         values = -law * plant
@@ -163,7 +161,7 @@ class TestMargins:
 
     @pytest.mark.parametrize("k", [0, 27, 45])
     def test_poles_cross_the_unit_circle_at_the_margins(self, name: str, k: int):
-        loop = loop_at(CONTROLLERS[name](), k)
+        loop = loop_at(usual(name), k)
         actual = margins(loop)
         (up,), (down,) = actual.gain_up, actual.gain_down
         assert actual.stable
@@ -267,7 +265,7 @@ class TestCondition:
     @pytest.mark.parametrize("name", TUNABLE)
     def test_untuned_and_tuned_gains_meet_it(self, name: str):
         assert MarginCondition().shortfall(untuned(name)) == 0
-        assert MarginCondition().shortfall(CONTROLLERS[name]()) == 0
+        assert MarginCondition().shortfall(usual(name)) == 0
 
     def test_what_is_asked_for_is_what_is_met(self):
         least = least_margins(untuned("ei"))

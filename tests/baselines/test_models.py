@@ -1,7 +1,5 @@
 """What controllers know of their arm: simulation, linear models, rigid torque, friction, flatness."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

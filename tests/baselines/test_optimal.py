@@ -1,7 +1,5 @@
 """Optimal feedback: LQG's gains against Riccati, MPC's against a general solver, robust LQ's against Lyapunov."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import fields, replace

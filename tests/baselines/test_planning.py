@@ -1,7 +1,5 @@
 """Plans: optimal for their linear problem, improved for the task's own cost, made anew; and those of oracles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 from pathlib import Path
@@ -287,12 +285,12 @@ def test_unknown_scenario_is_one_line(tmp_path: Path):
 
 
 def test_the_privileged_controller_costs_less_and_knows_its_own_arms_alone():
-    env = BeltArmVectorEnv(30, autoreset_mode="Disabled", randomization="ideal")
+    env = BeltArmVectorEnv(12, autoreset_mode="Disabled", randomization="ideal")
     env.reset(seed=5_000_000)
     oracle = PrivilegedController(env.params)
-    cost = rollout(oracle, 30, seed=5_000_000, randomization="ideal", sensors="full").cost.mean()
-    assert cost < rollout(AdaptiveController(), 30, seed=5_000_000, randomization="ideal").cost.mean()
+    cost = rollout(oracle, 12, seed=5_000_000, randomization="ideal", sensors="full").cost.mean()
+    assert cost < rollout(AdaptiveController(), 12, seed=5_000_000, randomization="ideal").cost.mean()
     with pytest.raises(ValueError, match="sensors='full'"):
-        oracle.predict(np.zeros((30, observation.size()), np.float32))
-    with pytest.raises(ValueError, match=r"30 arms.* 4"):
+        oracle.predict(np.zeros((12, observation.size()), np.float32))
+    with pytest.raises(ValueError, match=r"12 arms.* 4"):
         oracle.predict(np.zeros((4, observation.size("full")), np.float32))

@@ -1,7 +1,5 @@
 """Servos by themselves: the paper's law, PID, disturbance observers, flat motions, and the moves that shapers make."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 

@@ -1,7 +1,5 @@
 """Tools: files written whole or not at all, JSON of others, progress on a terminal, provenance."""
 
-from __future__ import annotations
-
 import errno
 import io
 import math

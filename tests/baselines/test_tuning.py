@@ -1,13 +1,10 @@
 """The tuner: the search on small problems, its margins, the file of gains, and the command as a user runs it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +15,7 @@ import pytest
 from commands import mistake
 from optuna.trial import TrialState
 from refusals import refused
+from waiting import until
 
 from baselines import TUNABLE, PaperController, PaperGains
 from baselines.engines.parallel import Channel
@@ -89,18 +87,18 @@ class TwoGains(Gains):
 
 
 class Watched(RetunedController):
-    """The retuned controller with two gains free, keeping the margins of all that is simulated."""
+    """The retuned controller with two gains free, keeping all gains that are simulated."""
 
-    simulated: list[float] = []  # noqa: RUF012
+    simulated: set[TwoGains] = set()  # noqa: RUF012
 
     def __init__(self, gains: TwoGains) -> None:
         super().__init__(RetunedGains(angle=gains.angle, torsion_speed=gains.torsion_speed, speed=30.0))
+        self.free = gains
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> Any:
-        if state is None:
-            Watched.simulated.append(MarginCondition().shortfall(self))
+        Watched.simulated.add(self.free)
         return super().predict(observation, state, episode_start, deterministic)
 
 
@@ -148,7 +146,7 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     result = search(KIND, budget, 0, journal)
     assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
     assert result.steps <= budget
-    search(KIND, 2 * budget, 0, tmp_path / "whole")
+    search(KIND, budget + MIN_BUDGET, 0, tmp_path / "whole")
     ours, theirs = (finished(OneGain, 0, path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
@@ -209,9 +207,10 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
     with pytest.raises(KeyboardInterrupt):
         search(GUARDED, budget, 0, journal, interrupted_after(11, progress), condition)
     result = search(GUARDED, budget, 0, journal, condition=condition)
-    assert result.refused > 0 and result.steps <= budget and set(Watched.simulated) == {0.0}
+    assert result.refused > 0 and result.steps <= budget
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
-    assert condition.shortfall(Watched(TwoGains(**result.gains))) == 0
+    assert TwoGains(**result.gains) in Watched.simulated
+    assert {condition.shortfall(Watched(gains)) for gains in Watched.simulated} == {0.0}
     assert search(GUARDED, budget, 0, journal, condition=condition) == result
     for other in (None, MarginCondition(modulus=0.3)):
         with pytest.raises(ValueError, match="was started with margins"):
@@ -284,9 +283,7 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
     out.write_text("{}")
     script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--moves", "1", "--out", "gains.json"]
     process = subprocess.Popen(script, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 300
-    while not (journal.exists() and '"costs"' in journal.read_text()) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    until(lambda: journal.exists() and '"costs"' in journal.read_text(), 300)
     process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors

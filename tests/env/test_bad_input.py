@@ -1,7 +1,5 @@
 """Bad input of the environments: refused by an exception that names the value and its option."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -47,10 +47,7 @@ def outwards(steps: int = EPISODE_STEPS) -> NDArray[np.float32]:
 class TestGymnasium:
     @pytest.mark.parametrize(
         ("sensors", "profile", "randomization"),
-        [
-            *(("encoder", "trapezoid", "off"), ("full", "scurve", "train")),
-            ("accelerometer", "quintic", "ideal"),
-        ],
+        [*(("encoder", "trapezoid", "off"), ("full", "scurve", "train")), ("accelerometer", "quintic", "ideal")],
     )
     def test_both_checkers_are_content(self, sensors: str, profile: str, randomization: str):
         settings = {"sensors": sensors, "profile": profile, "randomization": randomization, "moves": 2}

@@ -11,14 +11,7 @@ import pytest
 from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest
 from scipy.linalg import expm
 
-from beltarm_env import (
-    CONTROL_PERIOD,
-    EPISODE_STEPS,
-    ArmParams,
-    sampled_state_space,
-    state_derivative,
-    state_space,
-)
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, sampled_state_space, state_derivative, state_space
 from beltarm_env.simulation import ArmSimulation
 from eval.reference.event_located import EventLocatedArm
 

@@ -1,7 +1,5 @@
 """Metrics of episodes on signals whose values are known, and recordings as users look at them."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -2,8 +2,6 @@
 
 import math
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from commands import python
 from driven_arms import GEAR, GIVES, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
@@ -224,12 +223,10 @@ def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatc
 
 def run(code: str, cwd: Path) -> str:
     """Output of a process of its own: which OpenGL MuJoCo uses is settled when it is imported."""
-    environment = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    if done.stdout.startswith("no GL:"):
-        pytest.skip(f"MuJoCo cannot draw here: {done.stdout}")
-    return done.stdout
+    output = python("-c", code, cwd=cwd, path=(ROOT,), MUJOCO_GL=os.environ.get("MUJOCO_GL", "egl"))
+    if output.startswith("no GL:"):
+        pytest.skip(f"MuJoCo cannot draw here: {output}")
+    return output
 
 
 PICTURES = """

@@ -1,7 +1,5 @@
 """Episodes of several moves: what goes on from move to move, what is new, and what is told of each."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any

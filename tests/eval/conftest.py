@@ -1,7 +1,5 @@
 """What all tests of the comparison share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache
 

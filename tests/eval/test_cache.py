@@ -1,7 +1,5 @@
 """Parts that a comparison keeps and does not run again, which methods it runs, and what it does about mistakes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Sequence
@@ -22,15 +20,7 @@ from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import cache, provenance
-from eval.comparison.cache import (
-    Metrics,
-    Part,
-    measure,
-    parts_of,
-    read_kept,
-    run_parts,
-    sensitive,
-)
+from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, run_parts, sensitive
 from eval.comparison.carrying import carry
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.rollouts import Failure

@@ -1,7 +1,5 @@
 """The protocol that a controller of a user's own has to keep."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

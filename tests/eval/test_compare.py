@@ -1,7 +1,5 @@
 """A comparison as a user runs it: its files, its numbers, its verification, and its report in a browser."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io
@@ -29,7 +27,8 @@ from eval.report import publish
 from eval.report.publish import LARGEST
 
 ROOT = Path(__file__).resolve().parents[2]
-SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
+SEEDS = 2
+POLICIES = [folder for folder in shipped_policies() if folder.parent.name == "ppo"][:SEEDS]
 EPISODES, BOTH = 20, ("nominal", "sensing")
 MOVES = {"nominal": 1, "sensing": 2}
 METHODS = ["paper", "adaptive", "ppo", "privileged"]
@@ -44,6 +43,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
         patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
         patch.setattr(publish, "save_figures", save_coarsely)
+        patch.setattr("eval.comparison.run.shipped_policies", lambda: POLICIES)
         assert stopped(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
 
@@ -258,7 +258,7 @@ def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
         orders.append([float(value) for value in page.run(column)])
     assert orders[0] == sorted(orders[0]) == orders[1][::-1] and len(orders[0]) == 3
     sorts = page.run("[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)")
-    assert sorts == ["none", "none", "descending", *["none"] * 6]
+    assert sorts.pop(2) == "descending" and {*sorts} == {"none"}
     last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
     assert "privileged" in page.run(last)
 

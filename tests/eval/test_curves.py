@@ -1,7 +1,5 @@
 """Learning curves, of runs and of policies."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The study of learning: what it varies, runs that are kept, go on or are refused, and its tables and picture."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """The study of the controllers' loops: margins, changes of an arm, the price of margins, worth of identification."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The study of the paper: its linear analysis, its ringing, its runs, its drives, and the words of its page."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The study of physics: its motions, and the kernel and MuJoCo beside the solution that locates every event."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

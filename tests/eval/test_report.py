@@ -1,7 +1,5 @@
 """`report.html`: what it says, that it says it of the numbers, and that it works in a browser."""
 
-from __future__ import annotations
-
 import base64
 import re
 import shlex

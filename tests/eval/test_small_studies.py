@@ -1,7 +1,5 @@
 """What single studies promise: drive, guard, repeated moves, observers, presliding and sensors."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from functools import cache

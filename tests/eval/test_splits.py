@@ -1,7 +1,5 @@
 """Splits and sets of scenarios: what they are drawn from, what is kept, and that a changed physics is noticed."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

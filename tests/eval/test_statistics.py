@@ -1,7 +1,5 @@
 """Estimates, intervals and paired tests of a comparison, beside SciPy's, the definitions, and their promised rates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """All studies: each runs as a user runs it, its page comes from its data alone, and freshness sees what changes it."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The verdict of a comparison: what it decides by which numbers, and that all media show it."""
 
-from __future__ import annotations
-
 import io
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Small untrained policies, changes to their files, and halves of their cards."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,9 +1,9 @@
-"""Command lines within the process of the tests: a user's mistakes are many, and starting Python takes seconds."""
-
-from __future__ import annotations
+"""Command lines within the process of the tests, for starting Python takes seconds; and in one of their own."""
 
 import contextlib
 import io
+import os
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -31,3 +31,12 @@ def mistake(main: Callable[[], object], arguments: tuple[str, ...], folder: Path
     assert code == 2, errors
     (line,) = errors.strip().splitlines()
     return line
+
+
+def python(*words: object, cwd: Path | None = None, path: tuple[Path, ...] = (), **environment: str) -> str:
+    """Output of a Python process of its own, which ends well, with more folders to import from."""
+    known = {**os.environ, **({"PYTHONPATH": os.pathsep.join(map(str, path))} if path else {}), **environment}
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, cwd=cwd, env=known, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-4000:]
+    return done.stdout

@@ -1,7 +1,5 @@
 """Systems that are late."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Networks of policies with random weights, and inputs for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

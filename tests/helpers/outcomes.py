@@ -1,7 +1,5 @@
 """Made-up outcomes of a comparison."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

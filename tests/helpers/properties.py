@@ -1,7 +1,5 @@
 """Property tests: how many examples they try, in the suite and with the profile `fuzz`."""
 
-from __future__ import annotations
-
 from hypothesis import Phase, settings
 
 FUZZ = "fuzz"

@@ -3,8 +3,6 @@
 A class of tests inherits what holds, and has a fixture `place`.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

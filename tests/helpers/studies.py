@@ -1,7 +1,5 @@
 """First tries of studies, as a user runs them, with what all their folders must have."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tiny training runs: their options, a stop at a chosen moment, and the weights that they leave."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path
@@ -26,8 +24,8 @@ IMITATION = {
 }
 OWN: dict[str, dict[str, Any]] = {
     "ppo": {**REINFORCEMENT, **ON_POLICY},
-    "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8},
-    "sac": {**REINFORCEMENT, **OFF_POLICY},
+    "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8, "knowledge": "none"},
+    "sac": {**REINFORCEMENT, **OFF_POLICY, "knowledge": "none"},
     "student": IMITATION,
 }
 SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
@@ -63,6 +61,11 @@ class StopAfter(StopRequest):
 def weights(folder: Path) -> dict[str, bytes]:
     """Weights of a policy."""
     return {name: array.tobytes() for name, array in read_bundle(folder).weights.arrays.items()}
+
+
+def same_policies(first: Path, second: Path) -> bool:
+    """Whether two runs leave the same weights."""
+    return all(weights(first / kind) == weights(second / kind) for kind in ("best", "last"))
 
 
 def in_memory() -> tempfile.TemporaryDirectory[str]:

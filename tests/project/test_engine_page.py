@@ -1,7 +1,5 @@
 """The page on the engine: its Python runs, and the C that it shows is what comes out."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

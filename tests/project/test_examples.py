@@ -1,14 +1,11 @@
 """The examples as a user runs them, with small budgets; `my_controller.py` is in `test_check_controller.py`."""
 
-from __future__ import annotations
-
 import re
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from commands import python
 
 from agents.policy.bundle import read_spec
 
@@ -20,10 +17,7 @@ NO_RLLIB = f"no RLlib here, which needs another Gymnasium: in a virtual environm
 
 
 def output_of(example: str, *arguments: str, cwd: Path) -> str:
-    command = [sys.executable, str(EXAMPLES / example), *arguments]
-    result = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
-    assert result.returncode == 0, result.stderr
-    return result.stdout
+    return python(EXAMPLES / example, *arguments, cwd=cwd)
 
 
 def costs_in(output: str, pattern: str) -> list[float]:

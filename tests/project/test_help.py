@@ -1,7 +1,5 @@
 """Options on the command line: what `--help` shows of every command, and what is read."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import subprocess

@@ -1,7 +1,5 @@
 """make: mistakes that it tells in one line, and its targets."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

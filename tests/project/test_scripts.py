@@ -1,7 +1,5 @@
 """The scripts as a user runs them, their mistakes within this process."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io
@@ -12,12 +10,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from commands import mistake, stopped
+from waiting import until
 
 from agents.learners import ppo
 from agents.runs.checkpoint import COMMAND, RunFolder
@@ -125,9 +123,7 @@ def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool
 def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 300
-    while not (tmp_path / "run" / "validation.csv").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
+    until((tmp_path / "run" / "validation.csv").exists, 300)
     process.send_signal(interrupt)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors

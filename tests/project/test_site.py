@@ -3,8 +3,6 @@
 No warning: each page is in a table of contents, and each link leads somewhere. And no other host.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Damage to files, by their structure: JSON, archives, arrays and weights."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -1,7 +1,5 @@
 """Controllers that do what no controller should: import them only in a process of their own."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import random

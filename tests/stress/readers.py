@@ -3,8 +3,6 @@
 Half of what carries a hash gets a fitting one, as from a foreign program, so that what is behind the hash is reached.
 """
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A damaged file means what it did unless its hash was made to fit, or it is refus
 300 characters, in less than two seconds. Files stay as they are, and nothing is executed.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from random import Random

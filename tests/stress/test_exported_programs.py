@@ -3,8 +3,6 @@
 The arms move as Python's controllers command. A fault changes the encoder counts that both are given.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hostile controllers in a comparison: each fails by itself, in one line, and no other method is disturbed."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -6,8 +6,6 @@ A forked child counts the events that change its folder, by Python's audit hooks
 another child goes on.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

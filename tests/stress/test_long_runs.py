@@ -1,17 +1,13 @@
 """Whole episodes under adversarial torques: arms of a batch as arms alone, and the same on another processor."""
 
-from __future__ import annotations
-
 import hashlib
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import python
 from episodes import assert_as_alone
 from hypothesis import given
 from hypothesis import strategies as st
@@ -78,7 +74,5 @@ def digest() -> str:
 
 def test_a_processor_without_wide_vectors_gives_the_same_bits():
     code = "from tests.stress.test_long_runs import digest; print(digest())"
-    path = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "helpers")))
-    known = {**os.environ, "BELTARM_LEVEL": building.baseline(), "PYTHONPATH": path}
-    done = subprocess.run([sys.executable, "-c", code], env=known, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == digest()
+    path = ROOT, ROOT / "tests" / "helpers"
+    assert python("-c", code, path=path, BELTARM_LEVEL=building.baseline()).strip() == digest()

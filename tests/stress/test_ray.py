@@ -1,7 +1,5 @@
 """Tasks, comparisons and trainings on Ray are those on this machine, also where a machine is lost."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

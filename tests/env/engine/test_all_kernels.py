@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import subprocess
-import sys
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -13,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import python
 from networks import SHAPES, episodes, lively
 from recording_calls import recorded_calls
 
@@ -77,8 +75,4 @@ def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
     assert not refused and all(kernel._variants for kernel in calls.kernels.values()) and len(calls.kernels) > 35
     path = tmp_path / "calls"
     path.write_bytes(pickle.dumps(calls.made))
-    search = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "helpers")))
-    environment = {**os.environ, "BELTARM_ENGINE": "plain", "PYTHONPATH": search}
-    command = [sys.executable, "-c", AGAIN, str(path)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.split()) == (0, []), done.stderr[-2000:]
+    assert python("-c", AGAIN, path, path=(ROOT, ROOT / "tests" / "helpers"), BELTARM_ENGINE="plain").split() == []

@@ -1,7 +1,5 @@
 """Exported programs, each written and compiled once for all tests."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass, field, replace
 from functools import cache

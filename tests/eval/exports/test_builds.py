@@ -1,7 +1,5 @@
 """Exported C as others build it: flags, C++, several exports in one program."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Datasets for offline learning: they hold what single environments do, and appear when they are whole."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """Policies for the Hugging Face Hub: the folder that is written, its card and scores, and what loading one does."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Controllers as C: programs whose torques are those of Python, to the last bit, and the command that writes them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
