@@ -33,7 +33,7 @@ from eval.comparison.check import PERIOD_US
 from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.rollouts import Failure
 from eval.comparison.schema import write_results
-from eval.comparison.splits import EDITION, EPISODES, SPLITS, Split
+from eval.comparison.splits import EDITION, SPLITS, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
 from eval.report.figures import (
     LOOK,
@@ -88,15 +88,13 @@ def print_results(content: dict[str, Any], console: Console) -> None:
         console.print(escape(sentence), style="bold", highlight=False)
     console.print(escape(results.note), highlight=False)
     episodes = results.episodes
-    few = f" {episodes} of {EPISODES} scenarios show less than all." if episodes < EPISODES else ""
     least = f" (of {LEAST_OF_TAIL} scenarios or more)" if episodes < LEAST_OF_TAIL else ""
     console.print(
-        "*: best of its column; =: not shown to differ from it, in a paired test of interquartile means on this split; "
-        "the verdict tests the means as well, and is corrected for all splits. Cost: "
-        "minus the return (errors of the arm's end, and changes of the torque), averaged over the middle half of all "
-        f"runs; mean: over all runs; worst 5 %: over the worst of them{least}; residual p-p: vibration after the move, "
-        f"of arms that arrive, within {1000 * ARRIVAL_BOUND:g} mm in the mean; fail: the arm's end never stays within "
-        f"{1000 * SETTLING_BAND:g} mm; left: runs in which the arm left its workspace.{few}",
+        "*: best of its column; =: not shown to differ from it on this split, in interquartile means; the verdict "
+        "tests means too, over all splits. Cost: minus the return, averaged over the middle half of runs; mean: over "
+        f"all; worst 5 %: over the worst of them{least}; fail: not to stay within {1000 * SETTLING_BAND:g} mm; left: "
+        "the arm left its workspace; residual p-p: vibration after the move, of arms that arrive, within "
+        f"{1000 * ARRIVAL_BOUND:g} mm in the mean.",
         style="dim",
         highlight=False,
     )

@@ -94,15 +94,16 @@ def to_terminal(table: Table, columns: int) -> TerminalTable:
         title=table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
     )
     heads = [textwrap.wrap(column, _HEAD_WIDTH, break_long_words=False) for column in table.columns]
-    texts = [[f"{cell.text} " for cell in row.cells] for row in table.rows]
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    widths = [max(width, *map(len, head)) for width, head in zip(widths, heads, strict=True)]
-    for_name = min(max(columns - sum(width + 1 for width in widths), _LEAST_NAME_WIDTH), _NAME_WIDTH)
-    shown.add_column("method", no_wrap=True, max_width=for_name)
+    marked = [any(row.cells[k].mark in _TERMINAL for row in table.rows) for k in range(len(heads))]
+    texts = [[len(row.cells[k].text) + marked[k] for row in table.rows] for k in range(len(heads))]
+    widths = [max(*map(len, head), *lengths) for head, lengths in zip(heads, texts, strict=True)]
+    left = columns - 1 - sum(width + 2 for width in (0, *widths))
+    shown.add_column("method", no_wrap=True, max_width=min(max(left, _LEAST_NAME_WIDTH), _NAME_WIDTH))
     for head, width in zip(heads, widths, strict=True):
         shown.add_column("\n".join(head), justify="right", no_wrap=True, min_width=width)
     for row in table.rows:
-        cells = [_TERMINAL.get(cell.mark, "{} ").format(escape(cell.text)) for cell in row.cells]
+        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(row.cells)]
+        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, row.cells, strict=True)]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
     return shown
 
