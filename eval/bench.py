@@ -4,8 +4,6 @@ Each number stands beside a peer that is measured in the same run, in turns. Pri
 page.md and a picture into results/bench.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

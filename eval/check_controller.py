@@ -3,8 +3,6 @@
 The comparison relies on these checks: `eval/compare.py --add` runs them first.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ and writes report.html, results.json, episodes.csv, page.md and pictures. Result
 With --quick it takes two minutes; with --scenario-seed there are as many scenarios as you ask for.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ line is the median of a method's runs, and the band their interquartile range. D
 do not learn reach on the same arms.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

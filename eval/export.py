@@ -9,8 +9,6 @@
 `python eval/export.py c --help` shows the options of the first, and so on.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from pathlib import Path

@@ -4,8 +4,6 @@ With `--check`, says which pages the code of today would measure differently. Wi
 those that are named, on a clean commit, the cheapest first; an interrupted run goes on.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ With `--freeze-test`, the test set is drawn into `eval/comparison/scenarios.json
 and the protocol are frozen. The hash of the last commit of `docs/benchmark/protocol.md` chooses the seeds.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 Writes data.json, with everything that was measured, page.md and pictures into results/NAME.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ picture are the tip's error and the torque over time. Shows a window until it is
 motion.gif`, or `--out motion.mp4`, which needs the extra `video`.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ below them. A run that was interrupted, or that asks for more, goes on from the 
 its SHA-256: one that is damaged, or was changed by hand, is run again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform

@@ -1,7 +1,5 @@
 """Folders that tasks read, carried with them to machines that do not have them."""
 
-from __future__ import annotations
-
 import atexit
 import shutil
 from collections.abc import Iterable

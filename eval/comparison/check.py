@@ -4,8 +4,6 @@ A controller is made without arguments and called as Stable-Baselines3 calls a p
 `beltarm_env.rollout.Controller`.
 """
 
-from __future__ import annotations
-
 import inspect
 import time
 from collections.abc import Callable, Iterable, Iterator

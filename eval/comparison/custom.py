@@ -1,7 +1,5 @@
 """Controllers of a user's own, named as `package.module:Class` or `path/to/file.py:Class`."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import importlib.util

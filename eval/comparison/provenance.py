@@ -5,8 +5,6 @@ docstrings and comments, of all modules that the measurement imports, of the mod
 uses, and of tuned gains, shipped policies and observers. So words, tables and pictures change no digest.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import os

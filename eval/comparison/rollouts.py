@@ -1,7 +1,5 @@
 """Runs of controllers: failures, which are reported and affect nothing else; and what studies run, side by side."""
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing

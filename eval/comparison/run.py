@@ -1,7 +1,5 @@
 """Run of a comparison: from names of methods and splits to results, which are kept; and the verification of results."""
 
-from __future__ import annotations
-
 import shlex
 import time
 from collections.abc import Callable, Sequence

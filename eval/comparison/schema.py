@@ -4,8 +4,6 @@ Numbers are finite: NaN and infinities are refused as they are written and as th
 performance profiles, and latencies that stood for computing time. They are read.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict

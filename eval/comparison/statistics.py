@@ -10,8 +10,6 @@ simulation, without any difference about 5 % of these p values are below 0.05 or
 seed and with five, also of skewed differences (tests/eval/test_statistics.py has a part of it).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

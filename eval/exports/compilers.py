@@ -1,7 +1,5 @@
 """Compilers of exported sources: for this machine, for another one that an emulator runs, for small processors."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

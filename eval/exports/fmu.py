@@ -4,8 +4,6 @@ For the same torques its states are the environment's, bit for bit. All constant
 docs/guide/export.md tells how to use it.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import platform

@@ -1,7 +1,5 @@
 """Folders of exports: written as a whole or not at all, and never over a user's files."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tempfile

@@ -4,8 +4,6 @@ Nothing is uploaded: the command that does is printed. docs/guide/hub.md says wh
 load. Needs the extra hub.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

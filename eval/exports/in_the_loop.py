@@ -1,7 +1,5 @@
 """Software in the loop: exported sources, compiled, drive simulated arms over a pipe, and are compared with Python."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import tempfile

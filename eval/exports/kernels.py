@@ -13,8 +13,6 @@ A controller proposes a base torque, a residual where it has learned one, and ho
 where there is one, chooses between them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 docs/guide/export.md tells how to use it. Needs the extra onnx.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -8,8 +8,6 @@
 The arm is the lumped one, behind its drive as it is built.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

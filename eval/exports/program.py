@@ -4,8 +4,6 @@ The C99 is translated from the kernels that comparisons run, and checked against
 bit. docs/guide/export.md tells how to use it.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path

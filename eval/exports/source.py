@@ -1,7 +1,5 @@
 """Sources of C for a controller: its kernels, translated, between a header and the three functions that one calls."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

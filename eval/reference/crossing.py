@@ -1,7 +1,5 @@
 """Integration until a margin is used up: SciPy's DOP853 with the instant located on its interpolant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

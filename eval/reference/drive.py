@@ -3,8 +3,6 @@
 Written from the equations, apart from `beltarm_env.physics`, which it checks. Angles and speeds are the motor's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

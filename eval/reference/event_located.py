@@ -15,8 +15,6 @@ with their rates. With h = dtheta_1/dalpha the same energy gives, beside the mot
 DOP853 leads from one instant of stopping, reversing or breaking away to the next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

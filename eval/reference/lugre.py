@@ -20,8 +20,6 @@ Model: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A New Model fo
 Transactions on Automatic Control 40(3), 1995.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ The kinetic energy comes from the velocities of the parts, and Lagrange's equati
     M(q) q'' + c(q, q') = generalised forces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Learning curves of training runs and policies, read from their folders and drawn."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Colours follow the page's light or dark theme, element names do not clash. `eval.report.publish` draws motions alike.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence

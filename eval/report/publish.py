@@ -4,8 +4,6 @@ Its report is one HTML page that loads nothing else: `report.html` beside this f
 beside the page show a motion on every split, and all intervals.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 import shlex

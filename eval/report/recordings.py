@@ -1,7 +1,5 @@
 """Recordings of single runs for pictures and animation: the same methods on a few scenarios, as they were measured."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -3,8 +3,6 @@
 Films are GIF, or MP4 where imageio-ffmpeg is installed.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Iterator

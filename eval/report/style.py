@@ -1,7 +1,5 @@
 """Colours, axes, panels and legends of pictures, and figures as files, drawn without a display."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

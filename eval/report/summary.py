@@ -3,8 +3,6 @@
 The words are in `docs/results/comparison`: `page.md.j2`, and for the README `answer.md.j2` and `results.md.j2`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

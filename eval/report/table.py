@@ -4,8 +4,6 @@
 renderers here, HTML has it in `parts.html`.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +26,7 @@ from eval.report.text import cell, markdown_table, number, numbers
 
 _MARKDOWN = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 _TERMINAL = {"best": "[bold]{}*[/bold]", "tie": "[underline]{}=[/underline]"}
-_NAME_WIDTH, _LEAST_NAME_WIDTH, _HEAD_WIDTH = 24, 8, 7  # columns of a terminal: a long name is cut, and no number
+_NAME_WIDTH, _LEAST_NAME_WIDTH, _HEAD_WIDTH = 24, 11, 7  # columns of a terminal: a long name is cut, and no number
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,5 @@
 """Numbers, estimates and tables as text, written the same everywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import Any

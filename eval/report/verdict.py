@@ -11,8 +11,6 @@ Vibration is compared where both arrive: a method that never moves does not vibr
 `eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -8,8 +8,6 @@ Highly Parallel Reinforcement Learning Environment Execution Engine, NeurIPS 202
 Lange, 2022) in JAX, made for graphics processors. Both are in the extra `bench`.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

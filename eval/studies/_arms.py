@@ -4,8 +4,6 @@ The size of an effect is relative to the upper end of its training range: 0 is t
 and training may see.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 

@@ -12,8 +12,6 @@ A study is a module (or a folder, by its `__init__`) of `eval.studies` with thes
 Data and words are apart, so that a page is rendered again in a second, and no fact stands in a program.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

@@ -1,7 +1,5 @@
 """All measured pages: whether the code that measured them is still the same, rendered from data, measured anew."""
 
-from __future__ import annotations
-
 import importlib
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ Each effect is varied alone, then all together, from none to twice the upper end
 arms with the same moves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

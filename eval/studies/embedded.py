@@ -4,8 +4,6 @@ Exports controllers behind the guard, compiles each and runs it in the loop with
 and in single precision.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Three ways of learning from one repetition to the next are compared: arm and tor
 (`baselines.iterative.motor_learning`). Controllers that learn nothing stand beside them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -3,8 +3,6 @@
 All of them watch the same episodes of the development set; none of them acts.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

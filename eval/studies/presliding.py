@@ -5,8 +5,6 @@ deflection (`presliding_deflection`), or by LuGre friction, whose bristles slip 
 breakaway torque are the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations

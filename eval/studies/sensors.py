@@ -3,8 +3,6 @@
 Each runs with and without it on the same scenarios of the development set.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

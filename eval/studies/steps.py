@@ -4,8 +4,6 @@ Every controller of the chain has one thing more than the one before; all make t
 and parts of a shift.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -52,6 +52,20 @@ class RemembersItself(Proportional):
         return action, None
 
 
+class WithoutState(Proportional):
+    """Returns torques alone."""
+
+    def predict(self, *arguments: Any, **_: Any) -> Any:
+        return super().predict(*arguments)[0]
+
+
+class WithoutArguments(Proportional):
+    """Takes the observation alone."""
+
+    def predict(self, observation: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return super().predict(observation)
+
+
 class Runaway(Proportional):
     """Sound, with memory, and drives its arms out of the workspace."""
 
@@ -70,6 +84,8 @@ def spoilt(change: Callable[[Any, Any, Any], Any]) -> type[Proportional]:
 
 RANDOM = np.random.default_rng()
 CASES: dict[str, tuple[type, str, str]] = {
+    "state": (WithoutState, "drives", r"must return \(torques, state\).*got ndarray"),
+    "arguments": (WithoutArguments, "drives", r"must take \(observation, state, episode_start"),
     "shape": (spoilt(lambda _, a, o: a[:, 0]), "drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
     "type": (spoilt(lambda _, a, o: a.astype(np.float64)), "drives", "got float64 of shape"),
     "nan": (spoilt(lambda c, a, o: a * np.float32(np.nan if c.calls == 50 else 1)), "drives", "in sample 49 .*nan"),

@@ -45,6 +45,7 @@ def outcome(
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, count))
     values = np.broadcast_to(np.asarray(costs) * np.linspace(0.9, 1.1, count), (seeds, count)) + noise
     metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, count))}
+    metrics["still_s"] = values / 1000
     metrics |= {name: np.zeros((seeds, count)) for name in ("failure_share", "not_arrived_share", "saturated_share")}
     return outcome_of(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
 

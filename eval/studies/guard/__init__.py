@@ -4,8 +4,6 @@ Learned and classical controllers run with and without the guard, on arms with i
 set.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ the episode. Faults of the encoder change its counts, and all that an observatio
 differencing, both errors, sine and cosine of twice the angle.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

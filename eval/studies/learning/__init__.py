@@ -5,8 +5,6 @@ simulated samples, over which the learning rate falls to zero. Finished runs are
 interrupted ones continue. Beside them are the learning curves of the shipped policies.
 """
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Callable

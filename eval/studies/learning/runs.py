@@ -4,8 +4,6 @@ A run has the options that its command gives it, so the command in the results i
 policy is scored, not the best one: choosing the best of a curve would flatter the variants whose curves are noisy.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Poles and margins of the closed loop over joint angle and arms; cost and metrics
 one thing changed; the price of the margins; what identification is worth; time per action; gains and their tuning.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, fields
 from functools import partial

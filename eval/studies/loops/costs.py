@@ -9,8 +9,6 @@ without margins lie in `baselines/gains_without_margins.json`, which only this s
 with the seed and budget of those with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

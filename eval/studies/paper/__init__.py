@@ -7,8 +7,6 @@ speeds and the signs of the torque constant's error and of the drift are drawn, 
 each effect.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ rigid arm on the reference: the signal of Figs. 4 and 8 with the move itself tak
 of the position loop, which is no vibration.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 

@@ -5,8 +5,6 @@ locates all events. Then arms are moved by the paper's controller, and back and 
 breaks away: the same torques go into this package's kernel and into MuJoCo, from the same state and without feedback.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 

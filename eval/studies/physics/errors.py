@@ -5,8 +5,6 @@ are moved by torques that controllers commanded on them. From each state of such
 usual, and in 16 times as many steps.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,6 +1,7 @@
 """The arm as an FMU: the environment's motion, bit for bit, and what it refuses."""
 
 import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -17,6 +18,8 @@ from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, state_derivative
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.timing import EPISODE_STEPS
 from eval import export
+from eval.exports import fmu
+from eval.exports.compilers import Toolchain, native
 from eval.exports.fmu import fmu_texts, variables, write_fmu
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install -e '.[fmu]'")
@@ -30,9 +33,11 @@ DRIVEN = [ArmParams(**arm) for arm in drawn_arms(4, seed=5)]
 
 @pytest.fixture(scope="module")
 def path(compiler: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The FMU that the command writes."""
+    """The FMU that the command writes, for this machine alone: zig builds the libraries of others for half a minute."""
     folder = tmp_path_factory.mktemp("fmu")
-    assert stopped(export.main, ("fmu", "--out", "made"), folder) == (0, "")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu, "find_spec", lambda _: None)
+        assert stopped(export.main, ("fmu", "--out", "made"), folder) == (0, "")
     assert {path.name for path in (folder / "made").iterdir()} == {"beltarm.fmu", "manifest.json"}
     (folder / "mine").write_text("")
     assert "--out" in mistake(export.main, ("fmu", "--out", str(folder)), folder)
@@ -189,6 +194,24 @@ def test_a_state_within_a_period_can_be_kept_and_reset(unpacked: tuple[Path, Any
             each.fmu.reset()
             each.begin(ArmParams())
             assert each.read(*STATES) == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_clang_compiles_the_sources_for_other_machines(tmp_path: Path):
+    """Without a warning, which would be an error: clang warns of what gcc does not."""
+    pytest.importorskip("ziglang")
+    for name, text in fmu_texts(ArmParams()).items():
+        (tmp_path / Path(name).name).write_text(text)
+    foreign = [each for *_, each in fmu._toolchains() if each.compiler[0] == sys.executable]
+    assert len(foreign) >= 2
+    linux = next(each for each in foreign if "linux" in each.compiler[-1])
+    linux.build([tmp_path / "fmu.c"], tmp_path / "fmu.o", "-c")
+
+
+def test_platforms_that_cannot_be_built_are_named(compiler: tuple[str, ...], monkeypatch: pytest.MonkeyPatch):
+    broken = Toolchain((sys.executable, "-c", "raise SystemExit('no such target')"))
+    monkeypatch.setattr(fmu, "_toolchains", lambda: [("linux64", ".so", native()), ("win64", ".dll", broken)])
+    _, made, failed = fmu.packed(ArmParams())
+    assert made == ["linux64"] and list(failed) == ["win64"] and "no such target" in failed["win64"]
 
 
 def test_a_build_that_rounds_differently_is_refused(
