@@ -262,7 +262,7 @@ def difference_texts(pair: dict[str, Any]) -> list[str]:
         compared = SimpleNamespace(**pair["metrics"][metric])
         wins = f"{compared.win_rate:.0%} [{compared.win_rate_low:.0%}, {compared.win_rate_high:.0%}]"
         star = "*" if compared.verdict in ("better", "worse") and compared.p_holm >= 0.05 else ""
-        texts += [f"{compared.verdict}{star}: {cell(metric, compared)}", wins]
+        texts += [f"{compared.verdict}{star}: {cell(metric, compared, 1)}", wins]
     return texts
 
 

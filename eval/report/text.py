@@ -32,12 +32,18 @@ def poles_text(poles: NDArray[np.complex128], digits: int = 1) -> str:
     return ", ".join(parts)
 
 
-def numbers(name: str, value: Any) -> tuple[str, str, str]:
-    """Estimate `iqm` of a value, its interval's ends `low` and `high`, rounded as suits the metric; dashes for none."""
+def numbers(name: str, value: Any, more: int = 0) -> tuple[str, str, str]:
+    """Estimate `iqm` of a value, its interval's ends `low` and `high`, rounded as suits the metric; dashes for none.
+
+    Args:
+        name: The metric.
+        value: Has `iqm`, `low` and `high`.
+        more: Digits beyond those of the metric, for differences.
+    """
     metric = METRICS[name]
     factor = 100 if metric.share else 1
     point, low, high = (
-        f"{factor * number:.{metric.digits}f}" if isfinite(number) else "–"
+        f"{factor * number:.{metric.digits + more}f}" if isfinite(number) else "–"
         for number in (value.iqm, value.low, value.high)
     )
     return point, low, high
@@ -49,9 +55,9 @@ def rounded(name: str, value: float) -> str:
     return number(100 * value if metric.share else value, metric.digits)
 
 
-def cell(name: str, value: Any) -> str:
-    """Estimate with its interval, such as `4.8 [4.5, 5.2]`; a dash for none."""
-    point, low, high = numbers(name, value)
+def cell(name: str, value: Any, more: int = 0) -> str:
+    """Estimate with its interval, such as `4.8 [4.5, 5.2]`; a dash for none. Arguments are those of `numbers`."""
+    point, low, high = numbers(name, value, more)
     return f"{point} [{low}, {high}]" if isfinite(value.iqm) else point
 
 

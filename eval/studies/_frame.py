@@ -186,9 +186,9 @@ def percent(share: float | None, digits: int = 0) -> str:
     return shown(share and 100 * share, digits)
 
 
-def estimate_cell(name: str, value: Mapping[str, Any]) -> str:
-    """An estimate of the data with its interval, as suits the metric of this name."""
-    return cell(name, SimpleNamespace(**value))
+def estimate_cell(name: str, value: Mapping[str, Any], more: int = 0) -> str:
+    """An estimate of the data with its interval, as suits the metric of this name; `more` digits for differences."""
+    return cell(name, SimpleNamespace(**value), more)
 
 
 def rule(left: int, right: int) -> str:
