@@ -31,7 +31,7 @@ class Curve:
     steps: Floats  # simulated samples of single arms
     minutes: Floats
     cost: Floats
-    moves: int = 1  # of each arm in the validation; data from before shifts does not say
+    moves: int  # of each arm in the validation
 
 
 def find_curves(folders: list[Path]) -> list[Curve]:

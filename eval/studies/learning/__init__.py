@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from agents.policy.bundle import POLICIES
 from agents.residual.bases import make_base
@@ -28,7 +29,7 @@ from baselines.tools.command import require_known
 from baselines.tools.files import require_writable
 from beltarm_env.task.seeds import ABLATIONS
 from eval.report.curves import BEST_CLASSICAL, Curve, classical_cost, curves_figure, find_curves, levels
-from eval.report.style import COLOURS, mark_one_two_five, panels
+from eval.report.style import COLOURS, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
@@ -44,8 +45,8 @@ class Options(StudyOptions, WithStorage):
     runs: Path = Path("runs/ablations")
     """Folder of the runs. Finished runs are kept and not repeated."""
     only: tuple[str, ...] = ()
-    """Factors or variants to run, such as told or gru-0, with the runs that they are compared with. Default: all."""
-    samples: int = 8_000_000
+    """Factors or variants to run, such as told or nothing, with the runs that they are compared with. Default: all."""
+    samples: int = 4_000_000
     """Samples that each run simulates."""
     seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
@@ -66,7 +67,7 @@ def measure(options: Options) -> dict[str, Any]:
         for variant in chosen(options.only)
     ]
     bases = [variant["runs"][0]["base"] for variant in variants]
-    (validated,) = {(run["validation_arms"], run["moves"]) for run in variants[0]["runs"]}
+    validated = {(run["validation_arms"], run["moves"]) for variant in variants for run in variant["runs"]}
     shipped = find_curves([path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
     return {
         "samples": options.samples,
@@ -74,7 +75,8 @@ def measure(options: Options) -> dict[str, Any]:
         "first_seed": ABLATIONS.first,
         "variants": variants,
         "references": {name: score(make_base(name), options.arms) for name in dict.fromkeys([*bases, BEST_CLASSICAL])},
-        "best_classical": {"name": BEST_CLASSICAL, "validated": classical_cost(*validated)},
+        "best_classical": BEST_CLASSICAL,
+        "validated": [[arms, moves, classical_cost(arms, moves)] for arms, moves in sorted(validated)],
         "shipped": shipped,
         "shipped_levels": levels(shipped),
     }
@@ -146,12 +148,14 @@ COLUMNS = {
     "cost_mean": ("cost, mean", 0),
     "cost_median": ("cost, median", 0),
     "tip_rms_mm_mean": ("tip RMS (mm)", 2),
+    "still_s_median": ("still (s), median", 3),
     "residual_pp_mm_mean": ("residual p-p (mm)", 2),
     "torque_reversals_hz_mean": ("reversals (1/s)", 1),
     "left_percent": ("left (%)", 1),
 }
 """Title and decimals of the scores that are shown."""
-_TOP = 5  # of the picture, over the base's cost; what is above has lost arms
+_BOTTOM, _TOP = 0.85, 3.0  # of the picture; what is above has lost arms
+_TICKS = (0.9, 0.95, 1.0, 1.1, 1.2, 1.5, 2.0, 3.0)
 
 
 def tables(data: Data) -> Data:
@@ -169,7 +173,6 @@ def tables(data: Data) -> Data:
         "common": first[0]["command"].rsplit(" --seed ", 1)[0],
         "minutes": sum(run["minutes"] for run in runs),
         "commits": sorted({run["commit"] for run in runs}),
-        "unknown_code": sum(run["digest"] is None for run in runs),
     }
 
 
@@ -209,36 +212,31 @@ def pictures(data: Data) -> Pictures:
 
 
 def _ablations(data: Data) -> Figure:
-    """Draw the curves of every factor, on common axes."""
+    """Draw the curves of every factor, on common axes, over the best classical controller's cost on the same arms."""
     factors = by_factor(data) or {"": data["variants"][:1]}
-    figure, axes = panels(len(factors), 4, (3.6, 3.3), sharey=True)
-    best, default = data["best_classical"], data["variants"][0]["runs"][0]
-    levels = {default["base"]: default["validation_of_base"], best["name"]: best["validated"]}
-    lowest = min(point[2] for variant in data["variants"] for run in variant["runs"] for point in run["curve"])
+    figure, axes = panels(len(factors), 3, (4.2, 3.3), sharey=True)
+    levels = {(arms, moves): cost for arms, moves, cost in data["validated"]}
     for axis, (factor, variants) in zip(axes, factors.items(), strict=True):
-        _panel(axis, levels, factor, variants)
-        bottom, top = 0.7 * min(lowest, best["validated"]), _TOP * default["validation_of_base"]
-        axis.set(yscale="log", xlim=(0, None), ylim=(bottom, top))
-        mark_one_two_five(axis.yaxis)
+        axis.axhline(1.0, color="0.45", lw=1, ls="--", zorder=1)
+        for variant, colour in zip(variants, ("0.2", *COLOURS), strict=False):
+            _draw(axis, levels, variant, colour, _label(variant, factor))
+        axis.set_title(FACTORS[factor].question if factor else "", fontsize=10, loc="left")
+        axis.legend(fontsize=8, frameon=False, handlelength=1.2, loc="upper right")
+        axis.grid(alpha=0.3, which="both")
+        axis.set(yscale="log", xlim=(0, None), ylim=(_BOTTOM, _TOP))
+        axis.yaxis.set_major_locator(FixedLocator(_TICKS))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_locator(NullLocator())
     figure.supxlabel("simulated samples (millions)", fontsize=10)
-    figure.supylabel("mean episode cost, validation arms", fontsize=10)
+    figure.supylabel(f"cost on validation arms, over that of {data['best_classical']}", fontsize=10)
     return figure
 
 
-def _panel(axis: Axes, levels: dict[str, float], factor: str, variants: list[Data]) -> None:
-    sides = ("center",) if len(levels) == 1 else ("bottom", "top")
-    for (name, level), dashes, side in zip(levels.items(), ("--", ":"), sides, strict=False):
-        axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
-        end = axis.get_yaxis_transform()
-        axis.text(1.01, level, name, transform=end, color="0.35", va=side, ha="left", fontsize=7)
-    for variant, colour in zip(variants, ("0.2", *COLOURS), strict=False):
-        curves = [np.array(run["curve"]) for run in variant["runs"]]
-        for curve in curves:
-            axis.plot(curve[:, 0] / 1e6, curve[:, 2], color=colour, lw=0.6, alpha=0.6)
-        shortest = min(len(curve) for curve in curves)
-        middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
-        axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=_label(variant, factor))
-    axis.set_title(FACTORS[factor].question if factor else "", fontsize=9, loc="left")
-    axis.legend(fontsize=7, frameon=False, handlelength=1.2, loc="upper left", bbox_to_anchor=(0, -0.08), ncols=2)
-    axis.grid(alpha=0.3, which="both")
-    axis.tick_params(labelsize=8)
+def _draw(axis: Axes, levels: dict[tuple[int, int], float], variant: Data, colour: str, label: str) -> None:
+    """Draw a variant's runs thin, and their geometric mean thick."""
+    curves = [(np.array(run["curve"]), levels[run["validation_arms"], run["moves"]]) for run in variant["runs"]]
+    for curve, level in curves:
+        axis.plot(curve[:, 0] / 1e6, curve[:, 2] / level, color=colour, lw=0.6, alpha=0.6)
+    shortest = min(len(curve) for curve, _ in curves)
+    middle = np.exp(np.mean([np.log(curve[:shortest, 2] / level) for curve, level in curves], axis=0))
+    axis.plot(curves[0][0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=label)

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
 from agents.policy.bundle import BundleError, load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
-from agents.runs.settings import RunConfig
+from agents.runs.settings import RunConfig, task_of
 from agents.runs.training import SCORES, train
 from baselines.engines.parallel import Channel
 from baselines.tools.files import write_text
@@ -30,7 +31,7 @@ from eval.report.curves import find_curves
 
 _VALIDATIONS = 8  # per run, and rounds of a student
 _RECORD = "ablation.json"
-_QUICK = ("--validation-arms", "4")
+_VALIDATION_ARMS = 32
 
 
 class Factor(NamedTuple):
@@ -55,30 +56,29 @@ class Variant:
 
 FACTORS = {
     "learner": Factor("Which way of learning?", "student, on adaptive"),
-    "sight": Factor("What must PPO be told of the arm?", "belief of the filter", "ppo"),
-    "told": Factor("What must a student be told of the arm?", "belief of the filter"),
+    "arms": Factor("Which arms should it be trained on?", "shifts"),
+    "told": Factor("What must it be told of the arm?", "belief of the filter"),
     "memory": Factor("What is its memory worth?", "GRU of 96"),
     "base": Factor("Which controller should it correct?", "adaptive"),
-    "drive": Factor("Which arms should it be trained on?", "with drives as built"),
     "price": Factor("What should changes of the torque cost?", "5 times the task's price"),
 }
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
-_ALL = ("--residual-limit", "1.0")
+_SHIFTS, _ALL = ("--moves", str(StudentConfig.moves)), ("--residual-limit", "1.0")
+_ADAPTIVE = ("--base", "adaptive")
 VARIANTS = (
     DEFAULT,
-    Variant("ppo", "learner", "PPO, on paper", script="ppo"),
-    Variant("ppo-nothing", "sight", "nothing", ("--knowledge", "none"), "ppo", once=True),
-    Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo", once=True),
-    Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo", once=True),
-    Variant("ppo-price-1", "learner", "PPO, on paper, the task's price", ("--torque-price", "1"), "ppo", once=True),
-    Variant("sac", "learner", "SAC, on paper", script="sac", once=True),
+    Variant("ppo-taught", "learner", "PPO after a teacher", (*_ADAPTIVE, *_SHIFTS, "--teacher-rounds", "6"), "ppo"),
+    Variant("ppo-adaptive", "learner", "PPO, on adaptive", (*_ADAPTIVE, *_SHIFTS), "ppo", once=True),
+    Variant("ppo", "learner", "PPO, on paper", _SHIFTS, "ppo", once=True),
+    Variant("sac", "learner", "SAC, on paper", _SHIFTS, "sac", once=True),
+    Variant("single", "arms", "single moves", ("--moves", "1")),
+    Variant("ideal", "arms", "shifts with an ideal drive", ("--randomization", "ideal"), once=True),
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
-    Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
+    Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
-    Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
-    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
+    Variant("price-1", "price", "the task's price", ("--torque-price", "1"), once=True),
 )
 
 
@@ -112,15 +112,20 @@ class Run:
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
         budget = self._budget(parse(ALGORITHMS[self.variant.script], arguments=list(self.variant.options)))
-        script, quick = f"train/{self.variant.script}.py", _QUICK if self.quick else ()
-        return [str(word) for word in (script, *budget, *quick, *self.variant.options, "--seed", self.seed)]
+        script, arms = f"train/{self.variant.script}.py", 4 if self.quick else _VALIDATION_ARMS
+        shared = ("--validation-arms", arms, "--seed", self.seed)
+        return [str(word) for word in (script, *budget, *self.variant.options, *shared)]
 
     def _budget(self, config: RunConfig) -> list[object]:
         """Command-line options that make the script simulate `self.samples` samples."""
         if isinstance(config, StudentConfig):
             rounds = 2 if self.quick else _VALIDATIONS
-            return ["--moves", 1, "--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
+            return ["--arms", _arms(self.samples, rounds, config.moves), "--rounds", rounds]
         steps = max(self.samples // config.hold, 1)
+        if isinstance(config, PpoConfig) and config.teacher_rounds:  # who has most samples, as in shipped runs
+            arms, steps = _arms(self.samples * 3 // 4, config.teacher_rounds, config.moves), steps // 4
+            words = ["--teacher-arms", arms, "--critic-steps", steps // 3]
+            return ["--total-steps", steps, "--validation-every", max(steps // 2, 1), *words]
         return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
 
     @property
@@ -129,7 +134,7 @@ class Run:
         return shlex.join(["python", *self.words])
 
     def finished(self, arms: int) -> dict[str, Any] | None:
-        """Result of an earlier call, if it finished; of records without a digest of the code that is not checked.
+        """Result of an earlier call, if it finished.
 
         Raises:
             ValueError: If the folder holds another run, or one of other code, or whose base or filter has other gains.
@@ -139,12 +144,11 @@ class Run:
             return None
         try:
             kept = json.loads(record.read_text(encoding="utf-8"))
-            digest = kept.setdefault("digest", None)
             if (kept["command"], kept["arms"]) != (self.command, arms):
                 raise BundleError(
                     f"is of `{kept['command']}` on {kept['arms']} arms, not of `{self.command}` on {arms}"
                 )
-            if digest not in (None, training_digest()):
+            if kept["digest"] != training_digest():
                 raise BundleError("was trained by other code than today's")
             read_spec(self.folder / "last")
         except BundleError as error:
@@ -193,6 +197,11 @@ class Run:
         return result
 
 
+def _arms(samples: int, rounds: int, moves: int) -> int:
+    """Arms of a round, so that all rounds together simulate so many samples."""
+    return max(samples // (rounds * moves * EPISODE_STEPS), 1)
+
+
 def train_run(words: list[str], out: Path, place: Path, channel: Channel | None) -> None:
     """Run a training by the words of its command, from its checkpoint if there is one; errors as of `train`."""
     script, *options = words
@@ -203,11 +212,16 @@ def train_run(words: list[str], out: Path, place: Path, channel: Channel | None)
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
-    """Score a controller: means and medians over the arms of `ABLATIONS`, and the share that left the workspace (%)."""
-    run = rollout(controller, arms, seed=ABLATIONS.first, randomization="train", sensors=sensors)
+    """Score a controller on shifts of the arms of `ABLATIONS`.
+
+    Returns:
+        Means and medians over all moves, and the share of arms that left the workspace [%].
+    """
+    task: dict[str, Any] = {**task_of(StudentConfig.moves), "sensors": sensors}
+    run = rollout(controller, arms, seed=ABLATIONS.first, **task)
     metrics = run.metrics()
-    shown = (*SCORES, "torque_reversals_hz")
+    shown = (*SCORES, "still_s", "torque_reversals_hz")
     scores = {f"{name}_mean": float(np.mean(metrics[name])) for name in shown}
     scores |= {f"{name}_median": float(np.median(metrics[name])) for name in shown}
-    scores["left_percent"] = 100.0 * float(np.mean(~run.finished))
+    scores["left_percent"] = 100.0 * float(np.mean(~run.of_move(run.num_moves - 1).finished))
     return {name: round(value, 4) for name, value in scores.items()}
