@@ -46,7 +46,7 @@ class Options(StudyOptions, WithStorage):
     """Folder of the runs. Finished runs are kept and not repeated."""
     only: tuple[str, ...] = ()
     """Factors or variants to run, such as told or nothing, with the runs that they are compared with. Default: all."""
-    samples: int = 4_000_000
+    samples: int = 2_000_000
     """Samples that each run simulates."""
     seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
