@@ -28,7 +28,6 @@ from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import side_by_side
-from eval.comparison.splits import SPLITS
 from eval.comparison.statistics import estimate, interquartile_mean, paired
 from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five
 from eval.studies._arms import privileged
@@ -44,8 +43,12 @@ LEARNERS: dict[str, Callable[..., Any]] = {
 """By name: makes the controller of one trial from the lesson of the trials before, None at first."""
 OTHERS = ("paper", "adaptive", "privileged")
 """Controllers that learn nothing from trial to trial."""
-KINDS = {"nominal": "off", "ideal": "ideal", "randomized": "train"}
-"""The environment's randomization by the name of the split that has the same ranges."""
+KINDS = {
+    "nominal": ("off", "the nominal arm with an ideal drive, random moves"),
+    "ideal": ("ideal", "arms from the training ranges, but with an ideal drive"),
+    "randomized": ("train", "arms and drives from the training ranges"),
+}
+"""The environment's randomization, and what it is, by name."""
 _MOTOR_RMS = "motor_rms_mrad"
 _TITLES = {
     **{name: heading(name) for name in ("cost", "tip_rms_mm", "residual_pp_mm")},
@@ -102,7 +105,7 @@ def measure(options: Options) -> dict[str, Any]:
         "arms": options.arms,
         "repetitions": options.repetitions,
         "first_seed": REPETITION.first,
-        "kinds": {kind: SPLITS[kind].description for kind in kinds},
+        "kinds": {kind: KINDS[kind][1] for kind in kinds},
         "differences": differences,
         "rows": rows,
     }
@@ -116,7 +119,7 @@ def _relative(metrics: Mapping[str, Floats], first: Floats) -> list[float]:
 
 def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Floats]]:
     """Metrics of each repetition of one controller on one kind of arms."""
-    scenarios = {"seed": REPETITION.first, "randomization": KINDS[kind]}
+    scenarios = {"seed": REPETITION.first, "randomization": KINDS[kind][0]}
     if name in LEARNERS:
         return repeated(LEARNERS[name], arms, repetitions, **scenarios)
     if name == "privileged":
