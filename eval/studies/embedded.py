@@ -26,7 +26,8 @@ from eval.exports.program import controller_of, exportable, loop_of, write_progr
 from eval.exports.source import Loop
 from eval.studies._frame import Bounds, StudyOptions
 
-QUICK = {"controllers": ("smooth",), "splits": ("nominal",), "episodes": 1}
+_MOVES = 2  # of a shift, the first ones
+QUICK = {"controllers": ("smooth",), "splits": ("shift",), "episodes": 1}
 PLAN_SAMPLES = 8
 """Samples over which plans are spread."""
 _LEARNED = tuple(f"{method}/seed0" for method in ("ppo", "student"))
@@ -56,8 +57,9 @@ class Options(StudyOptions):
 def measure(options: Options) -> dict[str, Any]:
     """Measure each controller as a program."""
     native()  # before the work, not after it
-    scenarios = development_set()
-    splits = [scenarios.splits[name] for name in chosen("split", options.splits, scenarios.splits)]
+    known = development_set()
+    scenarios = known.only(chosen("split", options.splits, known.splits), options.episodes, _MOVES)
+    splits = list(scenarios.splits.values())
     rows = [_row(name, splits, options.episodes) for name in progress_over("controllers", options.controllers)]
     names, able = [row["name"] for row in rows], exportable()
     return {
@@ -126,7 +128,7 @@ def _with_single_precision(
     errors: list[Floats] = []
     recordings = []
     for split in splits:
-        with program_for(folder, loop, split, split.moves[:episodes], flags=_ANYWAY) as program:
+        with program_for(folder, loop, split, split.all_moves[:, :episodes], flags=_ANYWAY) as program:
 
             class Both:
                 params = loop.params
