@@ -169,7 +169,6 @@ def tables(data: Data) -> Data:
         "label": _label,
         "words": _words,
         "seeds": len(first),
-        "base": first[0]["base"],
         "common": first[0]["command"].rsplit(" --seed ", 1)[0],
         "minutes": sum(run["minutes"] for run in runs),
         "commits": sorted({run["commit"] for run in runs}),
