@@ -1,13 +1,9 @@
-"""What a controller gains by repeating the same move on the same arm.
+"""What the textbook's iterative learning gains by repeating the same move on the same arm.
 
-Three ways of learning from one repetition to the next are compared: arm and torque
-(`baselines.iterative.controller`), the arm alone, and the textbook's use of the motor's error
-(`baselines.iterative.motor_learning`). Controllers that learn nothing stand beside them.
+The learner is `baselines.yardsticks.iterative`. Controllers that learn nothing from trial to trial stand beside it.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -17,9 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from baselines import PaperController, tuned_controller
-from baselines.iterative.controller import IterativeController
-from baselines.iterative.lesson import Notes
-from baselines.iterative.motor_learning import MotorLearningController
+from baselines.yardsticks.iterative import IterativeController
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, heading
@@ -28,19 +22,13 @@ from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import side_by_side
-from eval.comparison.statistics import estimate, interquartile_mean, paired
-from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five
+from eval.comparison.statistics import estimate, paired
+from eval.report.style import BLUE, mark_one_two_five
 from eval.studies._arms import privileged
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
-QUICK = {"arms": 4, "repetitions": 2, "kinds": ("randomized",), "jobs": 1}
-TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
-LEARNERS: dict[str, Callable[..., Any]] = {
-    TORQUE: IterativeController,
-    ARM: partial(IterativeController, learn_torque=False),
-    MOTOR: MotorLearningController,
-}
-"""By name: makes the controller of one trial from the lesson of the trials before, None at first."""
+QUICK = {"arms": 4, "repetitions": 2, "jobs": 1}
+LEARNER = "iterative"
 OTHERS = ("paper", "adaptive", "privileged")
 """Controllers that learn nothing from trial to trial."""
 KINDS = {
@@ -76,31 +64,21 @@ class Options(StudyOptions):
 def measure(options: Options) -> dict[str, Any]:
     """Metrics of every controller on every kind of arms, by repetition, and differences of their costs."""
     kinds = chosen("kind", options.kinds, KINDS)
-    cases = [
-        *((kind, name, options.arms, options.repetitions) for kind in kinds for name in LEARNERS),
-        *((kind, name, options.arms, 1) for kind in kinds for name in OTHERS),
-    ]
+    cases = [(kind, name, options.arms, options.repetitions) for kind in kinds for name in (LEARNER, *OTHERS)]
     results = side_by_side("controllers and kinds of arms", run, cases, options.jobs)
-    trials = {(kind, name): result for (kind, name, *_), result in results.items()}
     rows, differences = [], []
-    for kind in kinds:
-        first = trials[kind, TORQUE][0]["cost"]
-        for name in (*LEARNERS, *OTHERS):
-            for k, metrics in enumerate(trials[kind, name], start=1):
-                levels = {metric: estimate(values[None]) for metric, values in metrics.items()}
-                cost = {"quartiles": np.percentile(metrics["cost"], [25, 75]), "relative": _relative(metrics, first)}
-                repetition = k if name in LEARNERS else None
-                rows.append({"kind": kind, "controller": name, "repetition": repetition, **levels, **cost})
-        last = trials[kind, TORQUE][-1]["cost"]
-        others = {
-            f"first of `{TORQUE}`": first,
-            f"last of `{ARM}`": trials[kind, ARM][-1]["cost"],
-            "`privileged`": trials[kind, "privileged"][0]["cost"],
-        }
-        for name, cost in others.items():
-            pair = paired(last[None], cost[None])
-            change = {"difference": pair.difference, "wins": pair.win_rate.iqm}
-            differences.append({"kind": kind, "against": name, **change})
+    for (kind, name, *_), trials in results.items():
+        for k, metrics in enumerate(trials, start=1):
+            levels = {metric: estimate(values[None]) for metric, values in metrics.items()}
+            quartiles = np.percentile(metrics["cost"], [25, 75])
+            repetition = k if name == LEARNER else None
+            rows.append({"kind": kind, "controller": name, "repetition": repetition, "quartiles": quartiles, **levels})
+        if name != LEARNER:
+            last = results[kind, LEARNER, options.arms, options.repetitions][-1]["cost"]
+            pair = paired(last[None], trials[0]["cost"][None])
+            differences.append(
+                {"kind": kind, "against": name, "difference": pair.difference, "wins": pair.win_rate.iqm}
+            )
     return {
         "arms": options.arms,
         "repetitions": options.repetitions,
@@ -111,38 +89,29 @@ def measure(options: Options) -> dict[str, Any]:
     }
 
 
-def _relative(metrics: Mapping[str, Floats], first: Floats) -> list[float]:
-    """Interquartile mean and quartiles of the cost over each arm's first [%]."""
-    ratio = 100 * metrics["cost"] / first
-    return [interquartile_mean(ratio), *np.percentile(ratio, [25, 75])]
-
-
 def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Floats]]:
     """Metrics of each repetition of one controller on one kind of arms."""
     scenarios = {"seed": REPETITION.first, "randomization": KINDS[kind][0]}
-    if name in LEARNERS:
-        return repeated(LEARNERS[name], arms, repetitions, **scenarios)
+    if name == LEARNER:
+        return repeated(arms, repetitions, **scenarios)
     if name == "privileged":
         return [metrics_of(rollout(privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
     controller = PaperController() if name == "paper" else tuned_controller(name)
     return [metrics_of(rollout(controller, arms, **scenarios))]
 
 
-def repeated(make: Callable[..., Any], arms: int, repetitions: int, **scenarios: Any) -> list[dict[str, Floats]]:
-    """Metrics of each repetition, in order.
+def repeated(arms: int, repetitions: int, **scenarios: Any) -> list[dict[str, Floats]]:
+    """Metrics of each repetition of the learner, in order.
 
     Args:
-        make: One of `LEARNERS`.
         arms: Number of arms, side by side.
         repetitions: Number of times that each arm makes its move.
         **scenarios: Seed and settings of `rollout`, the same every time.
     """
-    lesson, trials = None, []
+    controller, trials = IterativeController(), []
     for _ in range(repetitions):
-        controller = make(lesson)
-        notes = Notes(controller)
-        trials.append(metrics_of(rollout(notes, arms, **scenarios)))
-        lesson = controller.learned(notes)
+        trials.append(metrics_of(rollout(controller, arms, **scenarios)))
+        controller = controller.following()
     return trials
 
 
@@ -160,44 +129,34 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     return {"titles": _TITLES, "digits": _DIGITS}
 
 
-_COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
-_LINES: dict[str, str] = dict(zip(OTHERS, (":", "--", "-."), strict=True))
-
-
 def pictures(data: dict[str, Any]) -> Pictures:
     """Cost over the repetitions."""
     return {"cost.png": lambda: _draw(data)}
 
 
 def _draw(data: dict[str, Any]) -> Figure:
-    """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
+    """Draw the cost over the repetitions, for all kinds of arms."""
     kinds = data["kinds"]
-    size = (5 * len(kinds), 7.4)
-    figure, grid = plt.subplots(2, len(kinds), figsize=size, sharey="row", squeeze=False, layout="constrained")
-    for (relative, whole), (kind, description) in zip(grid.T, kinds.items(), strict=True):
-        relative.set_title(f"{kind}\n{description}", fontsize=10)
-        _curves(relative, data, kind, (TORQUE, ARM, "adaptive", "privileged"), relative=True)
-        whole.set_yscale("log")
-        _curves(whole, data, kind, (TORQUE, MOTOR, "paper", "adaptive"), relative=False)
-        mark_one_two_five(whole.yaxis)
-        whole.set_xlabel("repetition")
-    grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
-    grid[1, 0].set_ylabel("cost of an episode")
-    figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
+    figure, axes = plt.subplots(1, len(kinds), figsize=(4.2 * len(kinds), 4), sharey="row", layout="constrained")
+    for axis, (kind, description) in zip(np.atleast_1d(axes), kinds.items(), strict=True):
+        axis.set_title(f"{kind}\n{description}", fontsize=9)
+        _curves(axis, [row for row in data["rows"] if row["kind"] == kind])
+    np.atleast_1d(axes)[0].set_ylabel("cost of an episode")
+    figure.suptitle("Interquartile means over arms; band: the middle half of the arms", fontsize=10)
     return figure
 
 
-def _curves(axes: Axes, data: dict[str, Any], kind: str, names: tuple[str, ...], relative: bool) -> None:
-    for name in names:
-        rows = [row for row in data["rows"] if (row["kind"], row["controller"]) == (kind, name)]
-        levels = [row["relative"] if relative else [row["cost"]["iqm"], *row["quartiles"]] for row in rows]
-        means, low, high = zip(*levels, strict=True)
-        if name in LEARNERS:
-            numbers = range(1, len(rows) + 1)
-            axes.fill_between(numbers, low, high, color=_COLOURS[name], alpha=0.15, linewidth=0)
-            axes.plot(numbers, means, color=_COLOURS[name], marker="o", markersize=3, label=name)
-        else:
-            axes.axhline(means[0], color="0.3", linewidth=1, linestyle=_LINES[name], label=name)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.margins(x=0.02)
-    axes.legend(fontsize=9, frameon=False)
+def _curves(axis: Axes, rows: list[dict[str, Any]]) -> None:
+    learnt = [row for row in rows if row["controller"] == LEARNER]
+    numbers = range(1, len(learnt) + 1)
+    low, high = zip(*(row["quartiles"] for row in learnt), strict=True)
+    axis.fill_between(numbers, low, high, color=BLUE, alpha=0.15, linewidth=0)
+    axis.plot(numbers, [row["cost"]["iqm"] for row in learnt], color=BLUE, marker="o", markersize=3, label=LEARNER)
+    for name, line in zip(OTHERS, (":", "--", "-."), strict=True):
+        (row,) = (row for row in rows if row["controller"] == name)
+        axis.axhline(row["cost"]["iqm"], color="0.3", linewidth=1, linestyle=line, label=name)
+    axis.set_yscale("log")
+    mark_one_two_five(axis.yaxis)
+    axis.set_xlabel("repetition")
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.legend(fontsize=9, frameon=False)

@@ -1,9 +1,6 @@
-"""Iterative learning: the norm-optimal change against independent solutions, and the controllers."""
+"""Iterative learning: the norm-optimal change against independent solutions, and the textbook's controller."""
 
-import itertools
-import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -13,16 +10,13 @@ from properties import examples
 from refusals import refused
 from scipy.optimize import lsq_linear
 
-from baselines import PaperController, tuned_controller
-from baselines.estimation.believed_arm import IDENTIFIED
-from baselines.iterative.controller import IterativeController, Learning
-from baselines.iterative.lesson import Lesson, Notes
-from baselines.iterative.motor_learning import FeedForward, MotorLearningController
+from baselines import PaperController
 from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
-from beltarm_env import ArmParams, BeltArmEnv, design_model
+from baselines.yardsticks.iterative import IterativeController
+from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, design_model
 from beltarm_env.arm import params_table
 from beltarm_env.physics.friction import SLIPS
-from beltarm_env.rollout import Recording, rollout
+from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
@@ -165,77 +159,40 @@ def test_weights_have_the_slope_of_the_cost():
     assert 2 * weights.smoothness[0] * change[0] == pytest.approx(TORQUE_RATE_WEIGHT / 0.3)
 
 
-def trial_of(controller, arms: int, seed: int = SEED) -> tuple[Recording, Notes]:
-    notes = Notes(controller)
-    return rollout(notes, arms, seed=seed, randomization="ideal"), notes
+@pytest.mark.parametrize("arms", [1, 3])
+def test_first_repetition_is_the_papers(arms: int):
+    run, paper = (
+        rollout(one, arms, seed=SEED, randomization="ideal") for one in (IterativeController(), PaperController())
+    )
+    assert (run.torque == paper.torque).all()
 
 
-@pytest.fixture(scope="module")
-def taught() -> tuple[Recording, Lesson]:
-    controller = IterativeController()
-    run, notes = trial_of(controller, 4)
-    return run, controller.learned(notes)
+def test_learning_alone_and_side_by_side_is_the_same():
+    controller, alone = IterativeController(), IterativeController()
+    rollout(controller, 3, seed=SEED, randomization="ideal")
+    rollout(alone, 1, seed=SEED + 2, randomization="ideal")
+    together, single = controller.following().feed_forward, alone.following().feed_forward
+    assert together is not None and single is not None
+    assert (together[2] == single[0]).all()
 
 
-def test_first_repetition_is_the_plain_controllers(taught: tuple[Recording, Lesson]):
-    plain = rollout(tuned_controller("adaptive"), 4, seed=SEED, randomization="ideal")
-    assert (taught[0].torque == plain.torque).all()
-    paper = rollout(PaperController(), 4, seed=SEED, randomization="ideal")
-    assert (trial_of(MotorLearningController(), 4)[0].torque == paper.torque).all()
-
-
-def test_learning_alone_and_side_by_side_is_the_same(taught: tuple[Recording, Lesson]):
-    lesson = taught[1]
-    together, _ = trial_of(IterativeController(lesson), 4)
-    for arm in (0, 3):
-        first = IterativeController()
-        alone = first.learned(trial_of(first, 1, SEED + arm)[1])
-        assert alone.law and lesson.law
-        for ours, theirs in zip(alone.law, lesson.law, strict=True):
-            assert (ours[0] == theirs[arm]).all()
-        run, _ = trial_of(IterativeController(alone), 1, SEED + arm)
-        assert (run.torque[:, 0] == together.torque[:, arm]).all()
-
-
-def test_another_move_is_met_as_in_a_first_trial(taught: tuple[Recording, Lesson]):
-    run, _ = trial_of(IterativeController(taught[1]), 4, SEED + 100)
-    plain, _ = trial_of(IterativeController(), 4, SEED + 100)
-    assert (run.torque == plain.torque).all()
-
-
-def test_arms_that_leave_the_workspace_keep_what_they_knew(taught: tuple[Recording, Lesson]):
+def test_arms_that_leave_the_workspace_keep_what_they_knew():
     class Pushed(IterativeController):
         def predict(self, *arguments, **keywords):
             action, memory = super().predict(*arguments, **keywords)
             action[1] = 1.0
             return action, memory
 
-    for before in (None, taught[1]):
-        controller = Pushed(before)
-        run, notes = trial_of(controller, 4)
-        assert run.finished.tolist() == [True, False, True, True]
-        lesson = controller.learned(notes)
-        assert lesson.law
-        assert np.isfinite(lesson.law.torque).all()
-        if before is None:
-            assert (lesson.constants[1, : len(IDENTIFIED)] == 0).all() and not lesson.law.holds[1].any()
-        else:
-            assert (lesson.constants[1] == before.constants[1]).all()
-            assert (lesson.constants[0] != before.constants[0]).any()
+    before = np.full((3, EPISODE_STEPS), 1e-3)
+    controller = Pushed(before)
+    assert rollout(controller, 3, seed=SEED, randomization="ideal").finished.tolist() == [True, False, True]
+    learnt = controller.following().feed_forward
+    assert learnt is not None
+    assert (learnt[1] == before[1]).all() and (learnt[0] != before[0]).any() and np.isfinite(learnt).all()
 
 
-def test_what_does_not_fit_is_refused(taught: tuple[Recording, Lesson]):
-    controller = IterativeController()
-    notes, two_arms = Notes(controller), FeedForward(np.zeros((2, 4)), np.zeros((2, 1200)))
-    for _ in range(2):
-        rollout(notes, 1, seed=SEED)
-    short = np.zeros((2, 4)), np.zeros(2), np.zeros((2, 2)), NOMINAL
-    for words, call in (
-        (("3 samples",), lambda: Linearisation(ArmParams(), 3).about(*short)),
-        (("4 arms", "3"), lambda: trial_of(IterativeController(taught[1]), 3)),
-        (("2 arms", "3"), lambda: trial_of(MotorLearningController(two_arms), 3)),
-        (("1200", "2400"), lambda: controller.learned(notes)),
-    ):
-        refused(ValueError, words, call)
-    for name, value in itertools.product(("effort", "softness", "change_softness"), (0.0, math.nan)):
-        refused(ValueError, (f"Learning.{name}",), partial(Learning, **{name: value}))
+def test_what_does_not_fit_is_refused():
+    of_two, short = IterativeController(np.zeros((2, EPISODE_STEPS))), (np.zeros((2, 4)), np.zeros(2), np.zeros((2, 2)))
+    refused(ValueError, ("3 samples",), lambda: Linearisation(ArmParams(), 3).about(*short, NOMINAL))
+    refused(ValueError, ("2 arms", "3"), lambda: rollout(of_two, 3, seed=SEED))
+    refused(ValueError, ("1200", "0"), IterativeController().following)

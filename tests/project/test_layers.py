@@ -19,7 +19,7 @@ FLOORS = {
     ),
     "baselines": (
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
-        *("iterative yardsticks loops", "registry", "guard tuning"),
+        *("yardsticks loops", "registry", "guard tuning"),
     ),
     "agents": ("tensor_file residual", "policy", "runs", "learners observer"),
     "eval": ("comparison reference", "report", "exports", "studies", "speed"),

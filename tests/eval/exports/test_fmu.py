@@ -220,7 +220,7 @@ def test_a_build_that_rounds_differently_is_refused(
     wrapper = tmp_path / "cc"
     wrapper.write_text(f'#!/bin/sh\nexec {compiler[0]} "$@" -freciprocal-math -U__RECIPROCAL_MATH__\n')
     wrapper.chmod(0o755)
-    monkeypatch.setenv("CC", str(wrapper))
+    monkeypatch.setattr(fmu, "_toolchains", lambda: [("linux64", ".so", Toolchain((str(wrapper),)))])
     write_fmu(tmp_path / "arm.fmu", ArmParams())
     unpacked = Path(fmpy.extract(str(tmp_path / "arm.fmu"), str(tmp_path / "unpacked")))
     said: list[str] = []

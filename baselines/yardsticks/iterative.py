@@ -10,18 +10,15 @@ Norrlof 2001; see `baselines.planning.norm_optimal`) for the nominal linear loop
 about the reference, Coulomb friction left out, with what the drive measures as the error: e = l_tip (theta_a / G -
 theta_ref), as far as the tip of a rigid arm of the whole length l_tip would be away, and its rate by differencing.
 
-Learning that sees the motor alone makes the motor follow, and leaves the belt out. A yardstick for
-`baselines.iterative.controller`, not ranked.
+Learning that sees the motor alone makes the motor follow, and leaves the belt out. It makes the same move on the same
+arm again, which no ranked controller may do: a yardstick.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from baselines.controller import ClassicalController
-from baselines.iterative.lesson import Notes
 from baselines.models.linear import at_angle, linear_arm
 from baselines.planning.norm_optimal import Trial, Weights, followed, optimal_change
 from baselines.reading import Reading
@@ -34,67 +31,55 @@ _EFFORT = 1.0  # R [1/(N m)^2]
 _SMOOTHNESS = 1000.0  # r [1/(N m)^2]: the filter against learning the encoder's rounding
 
 
-@dataclass(frozen=True)
-class FeedForward:
-    """Feed-forward learnt for n arms, each with its move."""
-
-    moves: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
-    torque: Floats  # f_j [N m], shape (n, T)
-
-    def at(self, reading: Reading) -> Floats:
-        """Torque of this sample [N m], shape (n,); zero for an arm at another move.
-
-        Raises:
-            ValueError: If there are not as many arm.
-        """
-        if len(reading.step) != len(self.moves):
-            raise ValueError(
-                f"what was learnt is about {len(self.moves)} arms, got observations of {len(reading.step)}"
-            )
-        same = (reading.move == self.moves).all(axis=1)
-        at_step = self.torque[np.arange(len(self.moves)), np.minimum(reading.step, EPISODE_STEPS - 1)]
-        return np.where(same, at_step, 0.0)
-
-
-class MotorLearningController(ClassicalController[Floats]):
-    """Controller of one trial.
+class IterativeController(ClassicalController[Floats]):
+    """Controller of one trial of n arms, which notes what it reads for the next one.
 
     Args:
-        lesson: Result of the trials before; None in the first one, which is the paper's controller's.
+        feed_forward: f_j [N m], shape (n, T); None in the first trial, which is the paper's controller's.
         params: The nominal arm.
     """
 
-    def __init__(self, lesson: FeedForward | None = None, params: ArmParams | None = None) -> None:
+    def __init__(self, feed_forward: Floats | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params or ArmParams())
-        self.lesson = lesson
+        self.feed_forward = feed_forward
         self._paper = PaperController(self.params)
+        self._readings: list[Reading] = []
 
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:
-            ValueError: If there are not as many arms as in the lesson.
+            ValueError: If the feed-forward is not of as many arms.
         """
+        if memory is None:
+            self._readings.clear()
+        self._readings.append(reading)
         torque, memory = self._paper.law(reading, begins, memory)
-        return torque + self.lesson.at(reading) if self.lesson else torque, memory
+        if self.feed_forward is None:
+            return torque, memory
+        if len(torque) != len(self.feed_forward):
+            raise ValueError(f"the feed-forward is of {len(self.feed_forward)} arms, got observations of {len(torque)}")
+        return torque + self.feed_forward[np.arange(len(torque)), np.minimum(reading.step, EPISODE_STEPS - 1)], memory
 
-    def learned(self, notes: Notes) -> FeedForward:
-        """Feed-forward after a trial of this controller, added to what was known.
+    def following(self) -> IterativeController:
+        """Controller of the next trial. For arms that did not finish this one it has this one's feed-forward.
 
         Raises:
-            ValueError: If the notes are not of one whole trial.
+            ValueError: If this controller did not make one whole trial.
         """
-        readings = notes.readings(self.params)
-        moves = readings[0].move.copy()
-        torque = self.lesson.torque.copy() if self.lesson else np.zeros((len(moves), EPISODE_STEPS))
+        readings = self._readings
+        if len(readings) != EPISODE_STEPS:
+            raise ValueError(f"a trial must have {EPISODE_STEPS} samples, this one has {len(readings)}: run one move")
+        count = len(readings[0].step)
+        torque = np.zeros((count, EPISODE_STEPS)) if self.feed_forward is None else self.feed_forward.copy()
         after = [*readings[1:], readings[-1]]  # nothing is seen after the last sample
         angle = np.stack([r.motor_angle / self.params.gear_ratio - r.reference_angle for r in after], axis=1)
         speed = np.stack([r.motor_speed / self.params.gear_ratio - r.reference_speed for r in after], axis=1)
         reference = np.stack([r.reference_angle for r in readings], axis=1)
-        for i in range(len(moves)):
+        for i in range(count):
             if all(reading.step[i] == k for k, reading in enumerate(readings)):
                 torque[i] += self._change(angle[i], speed[i], reference[i], torque[i])
-        return FeedForward(moves, torque)
+        return IterativeController(torque, self.params)
 
     def _change(self, angle: Floats, speed: Floats, reference: Floats, torque: Floats) -> Floats:
         """Change v for one arm, from its errors [rad, rad/s], reference [rad] and feed-forward so far, all (T,)."""
