@@ -1,20 +1,16 @@
-"""The study of the controllers' loops: margins, changes of an arm, the price of margins, worth of identification."""
-
-from pathlib import Path
+"""The study of the controllers' loops: margins, and changes of an arm."""
 
 import numpy as np
-import pytest
 
-from baselines import CONTROLLERS, TUNABLE
-from baselines.gains import read_file, tuned, write_entry
+from baselines import CONTROLLERS
 from baselines.loops.condition import least_margins
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.seeds import LOOPS
 from eval.studies._arms import drawn
-from eval.studies.loops import NONE_LEFT, costs, scan
-from eval.studies.loops.costs import CHANGES, LIMITS, blind, price, run_arms
+from eval.studies.loops import NONE_LEFT, scan
+from eval.studies.loops.costs import CHANGES, LIMITS, blind, run_arms
 
 
 def test_the_worst_margins_are_those_of_the_condition():
@@ -42,18 +38,3 @@ def test_a_change_sets_its_constants_and_nothing_else():
         assert not TRAIN_RANGES[name][0] <= value <= TRAIN_RANGES[name][1]
     expected = rollout(controller, 3, seed=LOOPS.first, randomization="train")
     np.testing.assert_array_equal(run_arms(blind(controller), table).cost, expected.cost)
-
-
-def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    file = tmp_path / "without.json"
-    monkeypatch.setattr(costs, "WITHOUT", file)
-    same = read_file()["zv"]["provenance"]
-    write_entry("zv", tuned("zv", TUNABLE["zv"].gains), same, file)
-    kept = run_arms(blind(CONTROLLERS["zv"]()), drawn(3, LOOPS.first).params_table).cost
-    found = price("zv", kept)
-    assert found is not None and found["with"] == found["without"] and found["mean_with"] == found["mean_without"]
-    write_entry("zv", tuned("ei", TUNABLE["ei"].gains), same, file)
-    assert price("zv", kept) is None, "of another law"
-    write_entry("zv", tuned("zv", TUNABLE["zv"].gains), {**same, "budget": same["budget"] + 1}, file)
-    assert price("zv", kept) is None, "of another budget"
-    assert price("ei", kept) is None and price("paper", kept) is None

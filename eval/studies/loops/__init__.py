@@ -1,7 +1,7 @@
 """Classical controllers in numbers: margins, costs, limits, times and tuning of each.
 
 Poles and margins of the closed loop over joint angle and arms; cost and metrics on arms as they are built; cost with
-one thing changed; the price of the margins; what identification is worth; time per action; gains and their tuning.
+one thing changed; time per action; gains and their tuning.
 """
 
 import time
@@ -64,13 +64,12 @@ def measure(options: Options) -> dict[str, Any]:
         ValueError: If a name is unknown, or a file of gains or of the optimum is damaged.
     """
     names = chosen("controller", options.names, CONTROLLERS)
-    rows, built = {}, {}
+    rows = {}
     for name in progress_over("controllers", [*names, ORACLE]):
         make = PrivilegedController if name == ORACLE else costs.blind(CONTROLLERS[name]())
-        built[name], rows[name] = costs.measure_costs(make, options.arms, options.arms // 4)
+        rows[name] = costs.measure_costs(make, options.arms, options.arms // 4)
         if name != ORACLE:
-            about = {"loop": scan(CONTROLLERS[name]()), "price": costs.price(name, built[name])}
-            rows[name] |= about | {"times": times(make([]), options.batch)}
+            rows[name] |= {"loop": scan(CONTROLLERS[name]()), "times": times(make([]), options.batch)}
     return {
         "arms": options.arms,
         "moves": options.arms // 4,
@@ -83,7 +82,6 @@ def measure(options: Options) -> dict[str, Any]:
         "asked": {"modulus": MarginCondition().modulus, "delay": MarginCondition().delay},
         "controllers": rows,
         "gains": {name: gains(name) for name in names},
-        "worth": costs.worth({name: built[name] for name in names}),
         "optimum": costs.optimum(),
     }
 
@@ -184,11 +182,7 @@ def tables(data: Data) -> Data:
         "shown": costs.SHOWN_METRICS,
         "torques": TORQUES,
         "gap": _gap(data["optimum"], rows),
-        "unpriced": [name for name in searches if not ranked[name]["price"]],
-        "priced": {name: row["price"] for name, row in ranked.items() if row["price"]},
         "kept": [name for name, search in searches.items() if search["cost"] == search["cost_untuned"]],
-        "identifying": costs.IDENTIFYING,
-        "worse": costs.WORSE,
     }
 
 

@@ -1,25 +1,14 @@
-"""Costs of every controller: on arms as they are built, with one thing changed, without margins, beside the optimum.
+"""Costs of every controller: on arms as they are built, with one thing changed, beside the optimum.
 
-Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits. Gains
-without margins lie in `baselines/gains_without_margins.json`, which only this study reads. They are made by
-
-    python baselines/tune.py --all --no-margins --budget 16000000 --out baselines/gains_without_margins.json
-        --journals results/tune-without-margins
-
-with the seed and budget of those with.
+Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines import CONTROLLERS, TUNABLE
-from baselines.estimation.identification import IdentifyingController
-from baselines.gains import FILE, read_file, tuned
-from baselines.loops.condition import least_margins
 from baselines.yardsticks.oracle import METRICS
 from baselines.yardsticks.oracle import read_file as read_optimum
 from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
@@ -31,7 +20,7 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
-from eval.studies._arms import drawn, heading, identifying_nothing
+from eval.studies._arms import drawn, heading
 
 _DESIGN = design_model()
 
@@ -94,14 +83,7 @@ CHANGES = (
 LIMITS = (_latency(f"{_MOST + 0.5:g} samples", _MOST + 0.5), *_TORQUE_CONSTANT)
 """Changes of arms as they are built: latency half a sample and torque constants beyond their training ranges."""
 
-
-IDENTIFYING = "adaptive"
-"""Name of the controller whose identification is looked at."""
-WORSE = 1.2
-"""Cost over that of another controller on the same arm from which it counts as worse."""
 SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
-WITHOUT = FILE.with_name("gains_without_margins.json")
-"""Gains found without margins."""
 
 Maker = Callable[[list[ArmParams]], Controller]
 
@@ -119,16 +101,13 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
     return rollout(controller, len(table), seed=LOOPS.first, options=options, sensors=sensors, **settings)
 
 
-def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str, Any]]:
+def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
     """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
 
     Args:
         make: Of the controller.
         arms: Number of arms as they are built.
         moves: Number of moves of the design model.
-
-    Returns:
-        Costs on the arms as they are built, shape (arms,), and what the page shows.
     """
     design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
     scenarios = read_optimum()[1]
@@ -136,7 +115,7 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
     known = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()
-    return metrics["cost"], {
+    return {
         "mean": metrics["cost"].mean(),
         "worst": worst_mean(metrics["cost"]),
         "left": int((~as_built.finished).sum()),
@@ -164,64 +143,3 @@ def optimum() -> dict[str, Any]:
     rows = read_optimum()[0]["scenarios"]
     names = [f"{row['kind']}:{row['seed']}" for row in rows]
     return {"names": names, "costs": [row[METRICS[0]] for row in rows]}
-
-
-def price(name: str, kept: Floats) -> dict[str, Any] | None:
-    """Run a controller with the gains found without margins on arms as they are built.
-
-    Args:
-        name: Of the controller.
-        kept: What it costs with its own gains, shape (n,).
-
-    Returns:
-        None if there are no gains without margins, or they are not comparable: of another law or search.
-
-    Raises:
-        ValueError: If the file of gains is damaged.
-    """
-    search = _search(name, WITHOUT)
-    if search is None or search != _search(name, FILE):
-        return None
-    free = TUNABLE[name].controller(tuned(name, TUNABLE[name].gains, WITHOUT))
-    cost, least = run_arms(blind(free), drawn(len(kept), LOOPS.first).params_table).cost, least_margins(free)
-    return {
-        "with": interquartile_mean(kept),
-        "without": interquartile_mean(cost),
-        "mean_with": kept.mean(),
-        "mean_without": cost.mean(),
-        "unstable": least.growth >= 0,
-        "modulus": least.modulus,
-        "delay": least.delay,
-        "where": least.modulus_at,
-    }
-
-
-def _search(name: str, path: Path) -> tuple[object, ...] | None:
-    """What makes two searches comparable: names of gains, seed, budget and moves; None if there was none."""
-    entry = read_file(path).get(name)
-    return entry and (sorted(entry["gains"]), *(entry["provenance"].get(key) for key in ("seed", "budget", "moves")))
-
-
-def worth(by_name: Mapping[str, Floats]) -> list[dict[str, Any]]:
-    """Identification beside the same law without it, and beside the best of the controllers that do not identify.
-
-    Args:
-        by_name: Costs of controllers on the same arms, each of shape (n,). Without `IDENTIFYING` there is no answer.
-    """
-    if IDENTIFYING not in by_name:
-        return []
-    own = by_name[IDENTIFYING]
-    others = [name for name in by_name if not isinstance(CONTROLLERS[name](), IdentifyingController)]
-    best = sorted(others, key=lambda name: interquartile_mean(by_name[name]))[:1]
-    same = run_arms(blind(identifying_nothing()), drawn(len(own), LOOPS.first).params_table).cost
-    titled = {f"`{IDENTIFYING}` with nothing identified": same, **{f"`{name}`": by_name[name] for name in best}}
-    return [
-        {
-            "title": title,
-            "own": own.mean(),
-            "other": other.mean(),
-            "worse": int((own > WORSE * other).sum()),
-            "worst": np.max(own / other),
-        }
-        for title, other in titled.items()
-    ]
