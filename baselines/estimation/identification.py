@@ -6,7 +6,7 @@ How it is done is in `baselines.estimation.identify`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -67,11 +67,6 @@ class Belief:
         return self.tracks.mean[:, DELAY].copy()
 
     @property
-    def constants(self) -> Floats:
-        """All of z but the arm's state, shape (n, SIZE - 4)."""
-        return self.tracks.mean[:, 4:].copy()
-
-    @property
     def covariance(self) -> Floats:
         """Covariance of z, shape (n, SIZE, SIZE)."""
         return self.tracks.covariance
@@ -80,19 +75,6 @@ class Belief:
     def variance(self) -> Floats:
         """Diagonals of `covariance`, shape (n, SIZE)."""
         return self.tracks.covariance.diagonal(axis1=1, axis2=2)
-
-    def with_constants(self, which: Flags, constants: Floats, covariance: Floats) -> Belief:
-        """Belief at the beginning of an episode, with the constants of some arms replaced by a prior.
-
-        Args:
-            which: Arms with a prior, shape (n,).
-            constants: Mean of the prior, as `Belief.constants`, shape (n, SIZE - 4).
-            covariance: Of these, shape (n, SIZE - 4, SIZE - 4).
-        """
-        mean, spread = self.tracks.mean.copy(), self.tracks.covariance.copy()
-        mean[which, 4:] = constants[which]
-        spread[which, 4:, 4:] = covariance[which]
-        return replace(self, tracks=self.tracks._replace(mean=mean, covariance=spread))
 
 
 class IdentifyingController(ABC, Generic[Memory]):

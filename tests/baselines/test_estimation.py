@@ -260,7 +260,7 @@ class TestPresliding:
         ranges = {**TRAIN_RANGES, "presliding_deflection": (deflection, deflection)}
         env = batch(12, randomization=ranges)
         belief = believed_after(AdaptiveController(tuned("adaptive", AdaptiveGains)), env)
-        found = NOMINAL_DEFLECTION * np.exp(belief.constants[:, GIVING - 4])
+        found = NOMINAL_DEFLECTION * np.exp(belief.tracks.mean[:, GIVING])
         if deflection > 0.002:  # the encoder shows a smaller one hardly at all: its counts are of 1.6 mrad
             assert np.median(np.abs(np.log(found / deflection))) < np.log(2.5)
         run = rollout(AdaptiveController(tuned("adaptive", AdaptiveGains)), 12, seed=TRAIN_SEED, randomization=ranges)
@@ -352,9 +352,9 @@ class TestTrust:
         class Misled(AdaptiveController):
             def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
                 new = super()._identified(reading, begins, belief)
-                wrong = new.constants
-                wrong[:, 2:5] = [0.5, -1.5, -1.5]  # a heavy motor without friction, of which it is sure
-                return new.with_constants(begins, wrong, 1e-8 * new.covariance[:, 4:, 4:])
+                new.tracks.mean[begins, 6:9] = [0.5, -1.5, -1.5]  # a heavy motor without friction, of which it is sure
+                new.tracks.covariance[begins, 4:, 4:] *= 1e-8
+                return new
 
         nominal = {name: (value, value) for name, value in asdict(design_model()).items()}
         reported = rollout(Misled(), n, seed=TRAIN_SEED, randomization=nominal)
