@@ -1,7 +1,6 @@
 """Content, writing, reading and checking of `results.json` (`SCHEMA`) and `episodes.csv`.
 
-Numbers are finite: NaN and infinities are refused as they are written and as they are read. Older files have more:
-performance profiles, and latencies that stood for computing time. They are read.
+Numbers are finite: NaN and infinities are refused as they are written and as they are read.
 """
 
 import json
@@ -152,7 +151,7 @@ _COMPARED = object_of(  # two methods on the same scenarios
     metrics=object_of(OF_ARRIVED, **_PAIRS),  # difference; probability of improvement; p, also after Holm's correction
 )
 SCHEMA = object_of(
-    ("primary", "profiles"),
+    ("primary",),
     edition=INTEGER,  # of the comparison: results of two editions, versions or sets of scenarios are not compared
     version=INTEGER,  # of the scenarios
     scenario_set=object_of(name=TEXT, sha256=TEXT),
@@ -161,7 +160,6 @@ SCHEMA = object_of(
     primary=list_of(_PRIMARY),
     rows=list_of(_ROW),
     paired=list_of(_COMPARED),
-    profiles={"type": "array"},
     failures=list_of(object_of(method=TEXT, split=TEXT, message=TEXT)),  # methods that could not be run to the end
 )
 """JSON Schema (2020-12) of `results.json`."""

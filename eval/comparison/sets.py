@@ -6,8 +6,8 @@
     seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses; the only one with
                   further scenarios, as many as anybody wants
 
-All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`). The file of the test set also has
-a few motions, by which a changed physics is noticed.
+All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`). The file of the test set has seeds
+and hashes, by which scenarios that are drawn otherwise are noticed, and a few motions, by which a changed physics is.
 """
 
 from __future__ import annotations
@@ -21,15 +21,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.tools.files import read_text, write_text
 from baselines.tools.provenance import last_commit_of
 from baselines.tools.schema import in_a_line, loads
-from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
 from beltarm_env.rollout import rollout
-from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import (
     DEVELOPMENT,
     MAX_FRESH_SEED,
@@ -50,7 +47,6 @@ from eval.comparison.splits import (
     draw,
     draw_arms,
     first_seed,
-    make_split,
     side_by_side,
 )
 
@@ -237,8 +233,7 @@ def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
         split.name: {
             "description": SPLITS[split.name].description,
             "seed": split.seed,
-            "settings": split.settings,
-            **_drawn(split),
+            "count": len(split.seeds),
             "motions": moved,
             "sha256": split.digest,
         }
@@ -247,18 +242,6 @@ def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
     origin = {"command": "python eval/scenarios.py --freeze-test", "protocol": protocol}
     content = {"format": _FORMAT, "edition": EDITION, "version": VERSION, **origin, "splits": entries}
     return {**content, "sha256": digest_of(content)}
-
-
-def _drawn(split: Split) -> dict[str, Any]:
-    """Columns of a split by name, without the constants that are nominal in all its scenarios.
-
-    Of shifts only their number: they are drawn again from their seeds, as the environment does on the way.
-    """
-    if len(split.tables) > 1:
-        return {"count": len(split.seeds)}
-    constants = {k: v for k, v in params_columns(split.table).items() if np.any(v != getattr(NOMINAL, k))}
-    columns = {**constants, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
-    return {"columns": {name: values.tolist() for name, values in columns.items()}}
 
 
 def text_of(content: dict[str, Any]) -> str:
@@ -314,32 +297,14 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _split_of(name: str, entry: dict[str, Any]) -> Split:
-    split = _split_drawn(name, entry) if "count" in entry else _split_kept(name, entry)
-    if split.digest != entry["sha256"]:
-        raise ValueError(f"the SHA-256 of {name} does not match")
-    return split
-
-
-def _split_drawn(name: str, entry: dict[str, Any]) -> Split:
+    """Split whose scenarios are drawn again from their seeds."""
     count = entry["count"]
     if type(count) is not int or not 0 < count <= EPISODES:
         raise ValueError(f"the number of scenarios of {name} is {count!r}")
-    return draw_arms(name, TEST_NAME, range(entry["seed"], entry["seed"] + count))
-
-
-def _split_kept(name: str, entry: dict[str, Any]) -> Split:
-    columns = {key: _numbers(key, values) for key, values in entry["columns"].items()}
-    moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
-    table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
-    seeds = entry["seed"] + np.arange(len(moves))
-    return make_split(name, TEST_NAME, seeds, entry["settings"], table[None], moves[None], columns["delay"])
-
-
-def _numbers(key: str, values: list[Any]) -> NDArray[np.float64]:
-    # Of words, NumPy would make an array in which each takes as much memory as the longest.
-    if not {type(value) for value in values} <= {float, int}:
-        raise TypeError(f"{key} has entries that are no numbers")
-    return np.array(values, np.float64)
+    split = draw_arms(name, TEST_NAME, range(entry["seed"], entry["seed"] + count))
+    if split.digest != entry["sha256"]:
+        raise ValueError(f"the SHA-256 of {name} does not match: it is drawn otherwise than it was")
+    return split
 
 
 def require_same_physics(scenarios: ScenarioSet) -> None:

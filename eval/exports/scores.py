@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share", NOT_ARRIVED)
 """Metrics of the card."""
 _GUARDED = "+guard"
-_FEW = "too few scenarios"
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ def eval_results(scores: Scores) -> list[EvalResult]:
 
 
 def markdown(scores: Scores) -> str:
-    """Scores of a card for people: splits where the policy loses, a table of all, and how the numbers were made."""
+    """Scores of a card for people: splits where a classical controller is better, a table, and how it was made."""
     rows, pairs, best = scores.rows, scores.against_best, scores.best
     home, first = next(iter(rows.items()))
     shown = [name for name in SHOWN if name != NOT_ARRIVED or name in first["metrics"]]
@@ -174,7 +173,7 @@ def markdown(scores: Scores) -> str:
     return TEMPLATES.get_template("card_scores.md.j2").render(
         scores=scores,
         label=label,
-        losses=losses(scores.method, pairs),
+        costs={split: row["metrics"]["cost"]["verdict"] for split, row in pairs.items()},
         table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
         note=label.note_with([] if scores.method in shipped else [scores.method]),
         home=home,
@@ -187,34 +186,3 @@ def markdown(scores: Scores) -> str:
 def _cell(name: str, row: Mapping[str, Any]) -> str:
     """Estimate of a metric with its interval; a dash where no arm arrives."""
     return cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–"
-
-
-def losses(method: str, pairs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Sentences on where the best classical controller is shown to be better, or is not shown to differ.
-
-    Args:
-        method: Name of the method.
-        pairs: By split its pairwise test against that controller.
-    """
-
-    def splits(name: str, verdict: str) -> str:
-        """Splits with a verdict on a metric."""
-        chosen = [split for split, row in pairs.items() if row["metrics"].get(name, {}).get("verdict", _FEW) == verdict]
-        return f"all {len(pairs)} splits" if len(chosen) == len(pairs) else ", ".join(f"`{each}`" for each in chosen)
-
-    def places(verdict: str) -> str:
-        """Metrics with a verdict, each with its splits."""
-        on = {METRICS[name].title: splits(name, verdict) for name in PAIRED_METRICS}
-        return "; ".join(f"in {title} on {where}" for title, where in on.items() if where)
-
-    if not pairs:
-        return "That is not known: no classical controller took part in its comparison."
-    if few := splits("cost", _FEW):
-        return f"That is not known: there were too few scenarios on {few}."
-    worse = places("worse") or f"on none of {len(pairs)} splits"
-    sentences = [f"`{method}` is worse than the best classical controller {worse}."]
-    if same := places("no difference shown"):
-        sentences.append(f"It is not shown to differ {same}.")
-    if away := splits("residual_pp_mm", _FEW):
-        sentences.append(f"On {away} the two arrive too seldom to compare their vibration.")
-    return " ".join(sentences)

@@ -6,20 +6,18 @@ arms with the same moves.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.policy.bundle import read_spec
 from beltarm_env.arm import params_columns
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.metrics import heading as metric_heading
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import DRIVE_SIZES
-from eval.comparison.methods import Method, chosen
+from eval.comparison.methods import chosen
 from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, below, mark_one_two_five, panels
@@ -31,8 +29,6 @@ SIZES = (0.25, 0.5, 1.0, 1.5, 2.0)
 """Sizes of an effect over the upper end of its training range, beside the ideal drive."""
 _UPPER_END = 1.0
 _SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)  # beside the cost
-_LEADERS = 3  # controllers that the sentences follow
-_STEADY = 1.25  # ratio of costs up to which an effect changes little
 
 
 @dataclass(frozen=True)
@@ -77,16 +73,8 @@ def measure(options: Options) -> dict[str, Any]:
             }
             for name in effects
         },
-        "trained": trained_on(methods),
         "rows": rows,
     }
-
-
-def trained_on(methods: Sequence[Method]) -> dict[str, str]:
-    """Arms that learned methods were trained on, as their policies say; "unknown" where one does not."""
-    policies = {method.name: Path(method.sources[0]) for method in methods if method.kind == "learned"}
-    specs = {name: read_spec(folder)[0] for name, folder in policies.items()}
-    return {name: spec.provenance.get("config", {}).get("randomization", "unknown") for name, spec in specs.items()}
 
 
 def metrics_of(name: str, effect: str, arms: int) -> dict[str, np.ndarray]:
@@ -130,10 +118,6 @@ class _Levels:
             return self.rows[controller, next(iter(self.effects))][name][0]
         return self.rows[controller, effect][name][self._upper_end]
 
-    def ratio(self, controller: str, effect: str) -> float:
-        """Cost with an effect over that on the ideal drive."""
-        return self(controller, effect) / self(controller, IDEAL)
-
     def heading(self, effect: str) -> str:
         """Title of an effect at the upper end of its training range."""
         return effect if effect == IDEAL else self.effects[effect]["heading"]
@@ -143,35 +127,14 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Levels at the upper ends of the training ranges, and what the sentences name."""
     levels = _Levels(data)
     names, columns = levels.controllers, (IDEAL, *levels.effects)
-    order = sorted(names, key=lambda name: levels(name, ALL))
-    single = [effect for effect in levels.effects if effect != ALL]
-    leaders = []
-    for name in sorted(names, key=lambda name: levels(name, IDEAL))[:_LEADERS]:
-        harms = sorted(single, key=lambda effect: -levels.ratio(name, effect))[:2]
-        leaders.append({"name": name, "place": order.index(name) + 1, "harms": harms})
-    falling = [key for key, row in levels.rows.items() if key[1] != ALL and _falls(row["cost"])]
     lost = {name: sum(levels(name, effect, "left") for effect in levels.effects) for name in names}
     return {
         "levels": levels,
         "columns": columns,
         "cheapest": [min(names, key=lambda name: levels(name, effect)) for effect in columns],
         "torques": [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)],
-        "leaders": leaders,
-        "least": order[0],
-        "falling": list(dict.fromkeys(name for name, _ in falling)),
-        "falling_over": list(dict.fromkeys(data["effects"][effect]["title"] for _, effect in falling)),
-        "steady": [name for name in names if max(levels.ratio(name, effect) for effect in levels.effects) < _STEADY],
         "lost": {name: count for name, count in lost.items() if count},
-        "trained": {
-            kind: [name for name in data["trained"] if data["trained"][name] == kind]
-            for kind in dict.fromkeys(data["trained"].values())
-        },
     }
-
-
-def _falls(costs: Sequence[float]) -> bool:
-    """Whether the cost at some size is below half of that at a smaller one."""
-    return bool((np.array(costs) < 0.5 * np.maximum.accumulate(costs)).any())
 
 
 _FAMILIES: tuple[tuple[str, tuple[str, ...]], ...] = (

@@ -1,10 +1,6 @@
 """What single studies promise: drive, guard, repeated moves, observers, presliding and sensors."""
 
-import shutil
-from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +8,6 @@ import pytest
 from agents.observer.files import SHIPPED, load_observer
 from agents.observer.network import Estimate
 from agents.observer.quantities import NAMES
-from agents.policy.bundle import POLICIES, annotate
 from agents.residual.bases import make_base
 from baselines import PaperController
 from baselines.registry import WITH_ACCELEROMETER
@@ -21,10 +16,9 @@ from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.seeds import VALIDATION
-from eval.comparison.rollouts import shipped_methods
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
-from eval.studies import _frame, drive, presliding
+from eval.studies import _frame, presliding
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
@@ -54,21 +48,6 @@ def test_arms_have_the_effects_asked_for_and_no_others(name: str):
         others = [k for k in range(arms.shape[1]) if k not in [getattr(COLUMN, field) for field in DRIVE_EFFECTS]]
         np.testing.assert_array_equal(arms[:, others], drawn[:, others])
         assert all(ArmParams.from_row(row) for row in arms), "twice the ranges are within the bounds"
-
-
-@pytest.mark.parametrize(
-    ("config", "kind"), [({"randomization": "ideal"}, "ideal"), ({"randomization": "train"}, "train"), ({}, "unknown")]
-)
-def test_training_is_read_from_the_policies_and_told_apart(config: dict[str, Any], kind: str, tmp_path: Path):
-    folder = tmp_path / "other"
-    shutil.copytree(POLICIES / "ppo/seed0", folder)
-    annotate(folder, config=config)
-    (method,) = shipped_methods(["ppo"])
-    trained = drive.trained_on([replace(method, sources=(str(folder),))])
-    assert trained == {"ppo": kind} and drive.trained_on(shipped_methods(["paper"])) == {}
-    data = _frame.read_data(_frame.RESULTS / "drive")
-    none, told = (_frame.text_of("drive", drive, data | {"trained": known}) for known in ({}, trained))
-    assert none != told
 
 
 # Guard

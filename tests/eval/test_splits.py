@@ -244,30 +244,26 @@ def rehashed(content: dict[str, Any]) -> dict[str, Any]:
     return {**rest, "sha256": digest_of(rest)}
 
 
-def with_entry(content: dict[str, Any], split: str, column: str, change: Callable[[Any], Any]) -> dict[str, Any]:
-    """Content with the fourth entry of a column changed."""
-    entries = content["splits"][split]["columns"][column]
-    entries[3] = change(entries[3])
+def with_entry(content: dict[str, Any], key: str, change: Callable[[Any], Any]) -> dict[str, Any]:
+    """Content with an entry of a split changed."""
+    content["splits"]["randomized"][key] = change(content["splits"]["randomized"][key])
     return content
 
 
-def last_digit(content: dict[str, Any]) -> dict[str, Any]:
-    return with_entry(content, "randomized", "payload_mass", lambda entry: entry + 1e-15)
+def fewer(content: dict[str, Any]) -> dict[str, Any]:
+    return with_entry(content, "count", lambda count: count - 1)
 
 
 DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "another format": (lambda c: {**c, "format": "x"}, "no file of beltarm-scenarios"),
     "another version": (lambda c: rehashed({**c, "version": VERSION + 1}), f"has version {VERSION + 1}"),
     "no object": (lambda c: [c], "no file of beltarm-scenarios"),
-    "last digit changed": (last_digit, "SHA-256 does not match"),
-    "last digit changed and hashed": (lambda c: rehashed(last_digit(c)), "SHA-256 of randomized does not match"),
+    "fewer scenarios": (fewer, "SHA-256 does not match"),
+    "fewer scenarios, hashed": (lambda c: rehashed(fewer(c)), "SHA-256 of randomized does not match"),
     "another protocol": (lambda c: rehashed({**c, "protocol": "1" * 40}), "not the one that the protocol's commit"),
     "no protocol": (lambda c: rehashed({**c, "protocol": "abc"}), "hash of a commit has 40 hexadecimal digits"),
     "splits missing": (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
-    "a long word": (
-        lambda c: rehashed(with_entry(c, "nominal", "goal", lambda _: 100_000 * "x")),
-        "goal has entries that are no numbers",
-    ),
+    "a long word": (lambda c: rehashed(with_entry(c, "count", lambda _: 100_000 * "x")), "number of scenarios"),
     "cut off": (lambda c: json.dumps(c)[:1000], "cannot be read"),
 }
 

@@ -34,7 +34,6 @@ from eval import export
 from eval.comparison.sets import choose_set
 from eval.exports import hub
 from eval.exports.hub import CONFIG, EXCERPT, FILM, MODEL, PUBLISHED, bibtex
-from eval.exports.scores import losses
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
@@ -131,21 +130,6 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"]
     assert "`my-ppo`" in card.text and "no classical controller" in card.text
     assert (tmp_path / "out" / EXCERPT).exists() and not (tmp_path / "out" / "left.txt").exists()
-
-
-def test_a_card_says_where_its_policy_loses():
-    def said(**others: str) -> str:
-        """Sentences for verdicts on cost, tip error and vibration by split, better where nothing else is told."""
-        verdicts = {"nominal": "better", "payload": "better", "drive": "better"} | others
-        pairs = {
-            split: {"metrics": {name: {"verdict": each} for name in ("cost", "tip_rms_mm", "residual_pp_mm")}}
-            for split, each in verdicts.items()
-        }
-        return losses("x", pairs)
-
-    assert "none of 3 splits" in said()
-    assert "`payload`" in said(payload="worse") and "`drive`" in said(drive="no difference shown")
-    assert "not known" in said(drive="too few scenarios") and "not known" in losses("x", {})
 
 
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
