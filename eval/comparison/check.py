@@ -18,7 +18,7 @@ from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
 from baselines.tools.command import this_python
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
-from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
@@ -271,12 +271,8 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
             observation, _ = env.reset(options={"reset_mask": start})
 
 
-def microseconds(controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any) -> Floats:
-    """Time of each action [us], shape (steps,)."""
-    return 1e6 * np.array([sample.seconds for sample in drive(controller, num_arms, steps, seed, **settings)])
-
-
 def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
     """Time the actions of a controller for one nominal arm."""
-    median, slow = np.percentile(microseconds(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors), [50, 99])
+    samples = drive(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors)
+    median, slow = np.percentile([1e6 * sample.seconds for sample in samples], [50, 99])
     return float(median), float(slow)

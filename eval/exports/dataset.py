@@ -47,7 +47,6 @@ from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_
 from beltarm_env.timing import EPISODE_STEPS
 from eval.comparison.methods import methods_side_by_side
 from eval.exports.source import TEMPLATES
-from eval.report.text import markdown_table
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -130,7 +129,8 @@ def export(options: Options) -> None:
     with progress_count("episodes", Console()) as done:
         metadata = write_dataset(options, done)
     megabytes = sum(file.stat().st_size for file in path.rglob("*")) / 1e6
-    print(cost_table(metadata))
+    costs = pd.DataFrame(metadata).pivot_table("cost", "controller", "disturbance")
+    print("mean cost", costs.round().to_string(na_rep="–"), sep="\n")
     print(f"written to {path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
     print(f'  dataset = minari.load_dataset("{options.id}")')
 
@@ -234,15 +234,6 @@ def reference_scores(randomization: str) -> tuple[float, float]:
     arms = {"seed": DATASET_SCORES.first, "randomization": randomization}
     low, high = (rollout(each, SCORED, **arms).cost for each in (RandomTorques(), load_controller(EXPERT)))
     return -float(np.mean(low)), -float(np.mean(high))
-
-
-def cost_table(metadata: Sequence[Mapping[str, Any]]) -> str:
-    """Number of episodes and their mean cost by controller and disturbance, in Markdown."""
-    costs = pd.DataFrame(metadata).groupby(["controller", "disturbance"], sort=False)["cost"].agg(["mean", "size"])
-    cells = {key: f"{mean:.0f} ({count})" for key, mean, count in costs.itertuples()}
-    names = dict.fromkeys(name for name, _ in cells)
-    rows = [[name, *(cells.get((name, kind), "–") for kind in KINDS)] for name in names]
-    return markdown_table(("mean cost (episodes)", *KINDS), rows)
 
 
 # Episodes

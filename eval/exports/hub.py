@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "docs" / "results" / "comparison" / "results.json"
 CITATION: dict[str, Any] = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
 FORMAT = "beltarm-shared-policy"
-CONFIG, EXCERPT, FILM, MODEL = "config.json", "results.json", "replay.mp4", "policy.onnx"
+CONFIG, FILM, MODEL = "config.json", "replay.mp4", "policy.onnx"
 _LARGE = ("*.safetensors", "*.onnx", "*.mp4")
 _SPEED = 0.5  # of the film
 
@@ -99,7 +99,7 @@ def export(options: Options) -> None:
 
 
 def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
-    """Files of the folder by name: the policy as it is, under a new card, and the rows of its scores.
+    """Files of the folder by name: the policy as it is, under a new card with its scores.
 
     Raises:
         BundleError: If the policy is missing, damaged, or foreign.
@@ -124,8 +124,6 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
         CONFIG: json.dumps(config, indent=2) + "\n",
         ".gitattributes": "".join(f"{pattern} filter=lfs diff=lfs merge=lfs -text\n" for pattern in _LARGE),
     }
-    if scores:
-        texts[EXCERPT] = json.dumps(scores.excerpt(), indent=2, allow_nan=False) + "\n"
     files = {**{name: text.encode() for name, text in texts.items()}, POLICY_FILE: data}
     if options.onnx:
         from agents.policy.onnx_model import onnx_model

@@ -16,7 +16,7 @@ from agents.policy.card import ENVIRONMENT
 from baselines.tools.files import sha256_of
 from baselines.tools.provenance import commit
 from beltarm_env.arrays import Floats
-from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
+from beltarm_env.metrics import NOT_ARRIVED, heading
 from beltarm_env.rollout import rollout
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
@@ -71,20 +71,6 @@ class Scores:
         wanted = {(row["other"], split) for split, row in self.against_best.items()}
         return {row["split"]: row for row in self.results["rows"] if (row["method"], row["split"]) in wanted}
 
-    def excerpt(self) -> dict[str, Any]:
-        """Rows behind the card's numbers, after the entries that `huggingface_sb3` writes of its own agents."""
-        return {
-            "mean_reward": float(np.mean(self.rewards)),
-            "std_reward": float(np.std(self.rewards)),
-            "is_deterministic": True,
-            "n_eval_episodes": len(self.rewards),
-            "method": self.method,
-            "results_sha256": self.digest,
-            **{name: self.results[name] for name in ("edition", "version", "scenario_set", "provenance", "verdict")},
-            "rows": [*self.rows.values(), *self.best.values()],
-            "paired": [row for row in self.results["paired"] if row["method"] == self.method],
-        }
-
 
 def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     """Read the scores of a policy, and run it for its mean reward.
@@ -126,7 +112,7 @@ def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | Non
 
 
 def eval_results(scores: Scores) -> list[EvalResult]:
-    """Entries of the Hub's model index; `mean_reward` comes first, where the Hub's rankings look."""
+    """Entries of the Hub's model index: the cost on every split, and first `mean_reward`, where its rankings look."""
     from huggingface_hub import EvalResult
 
     results = []
@@ -138,20 +124,13 @@ def eval_results(scores: Scores) -> list[EvalResult]:
             "dataset_name": f"{ENVIRONMENT} {split}",
             "dataset_config": split,
             "dataset_split": scores.results["scenario_set"]["name"],
-            "dataset_args": {
-                "episodes": row["episodes"],
-                "sha256": scores.results["provenance"]["split_sha256"][split],
-            },
         }
         if not results:
             name = "mean_reward"
             results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
-        for name in (name for name in SHOWN if name in row["metrics"]):
-            estimate, share = dict(row["metrics"][name]), METRICS[name].share
-            label = f"{METRICS[name].title}, as a share: mean" if share else f"{heading(name)}: interquartile mean"
-            seeds = f"{row['seeds']} training seed{'s'[: row['seeds'] > 1]}"
-            values = {"metric_value": estimate.pop("iqm"), "metric_args": estimate}
-            results.append(EvalResult(**common, metric_type=name, metric_name=f"{label} over {seeds}", **values))
+        label = f"cost: interquartile mean over training seeds and {row['episodes']} scenarios"
+        value = row["metrics"]["cost"]["iqm"]
+        results.append(EvalResult(**common, metric_type="cost", metric_name=label, metric_value=value))
     return results
 
 

@@ -3,7 +3,6 @@
 All of them watch the same episodes of the development set; none of them acts.
 """
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -32,7 +31,6 @@ HOLD = 4
 """Samples from one estimate that is scored to the next."""
 ACTING = ("adaptive", "student")
 """Controllers whose episodes are watched; the tables of one controller are those of the last."""
-_TIMED = 300  # estimates
 _SHOWN_AS = {"rad": (1e3, "mrad"), "rad/s": (1.0, "rad/s"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "ln": (100, "%")}
 """Factor and unit in which a quantity's error is shown; the error of a logarithm is about a share."""
 
@@ -105,7 +103,6 @@ def measure(options: Options) -> dict[str, Any]:
                 "weights": sum(parameter.numel() for parameter in watcher.parameters()),
                 "products": (len(watcher.columns) + watcher.width) * (3 * watcher.width + 2 * len(NAMES)),
                 "hold": watcher.hold,
-                "microseconds": microseconds_of(watcher),
             }
             for name, watcher in known.items()
             if isinstance(watcher, Observer)
@@ -180,16 +177,6 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
         name: score([Estimate(*(part[finished] for part in estimate)) for estimate in estimates], true)
         for name, estimates in watched.estimates.items()
     }
-
-
-def microseconds_of(watcher: Watcher) -> float:
-    """Median of the time per estimate for one arm [us]."""
-    seen, memory, seconds = np.zeros((1, len(offered(watcher.knowledge))), np.float32), None, []
-    for _ in range(_TIMED):
-        began = time.perf_counter()
-        _, memory = watcher.observe(seen, memory)
-        seconds.append(time.perf_counter() - began)
-    return 1e6 * float(np.median(seconds))
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Controller, rollout
-from eval.comparison.check import action_times
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
@@ -80,9 +79,6 @@ def measure(options: Options) -> dict[str, Any]:
         "students": {
             tier: {"sensors": spec.sensors, "base": spec.base, "seed": spec.provenance["config"]["seed"]}
             for tier, spec in specs.items()
-        },
-        "microseconds": {
-            name: {tier: action_times(controller(name, tier), tier)[0] for tier in TIERS} for name in NAMES
         },
         "rows": rows,
         "differences": differences,

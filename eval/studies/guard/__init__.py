@@ -164,7 +164,6 @@ _DIGITS = {"peak": 1, "left": 0, "energy": 1}
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Measures, and the comparisons in which the base alone is better."""
     return {
-        "comparisons": len(data["rows"]) * len(MEASURES),
         "worse": [(row, measure) for row in data["rows"] for measure in worse_measures(row)],
         "titles": MEASURES,
         "digits": _DIGITS,

@@ -1,12 +1,10 @@
 """Classical controllers in numbers: margins, costs, limits, times and tuning of each.
 
 Poles and margins of the closed loop over joint angle and arms; cost and metrics on arms as they are built; cost with
-one thing changed; time per action; gains and their tuning.
+one thing changed; gains and their tuning.
 """
 
-import time
 from dataclasses import dataclass, fields
-from functools import partial
 from itertools import product
 from math import isfinite
 from typing import Any
@@ -21,12 +19,9 @@ from baselines.loops.models import continuous
 from baselines.models.linear import ANGLES
 from baselines.tools.progress import progress_over
 from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
-from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.check import microseconds
 from eval.comparison.methods import chosen
 from eval.report.style import BLUE, VERMILION, damping_lines, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions, shown
@@ -34,12 +29,11 @@ from eval.studies.loops import costs
 
 ORACLE = "privileged"
 """Name of the controller that knows arm and state; never ranked."""
-QUICK = {"names": ("ei",), "arms": 8, "batch": 2}
+QUICK = {"names": ("ei",), "arms": 8}
 ARMS = tuple(CORNERS)
 """Arms that loops are looked at on; the first is the design model."""
 NONE_LEFT = {"gain_up": 1.0, "gain_down": 1.0, "phase": 0.0, "delay": 0.0, "modulus": 0.0}
 """Margins by name, and their values for an unstable loop."""
-_REPETITIONS = 5  # of the episode that is timed
 _PLANE = (-62.0, 72.0)  # smallest real and largest imaginary part of the poles that are drawn [1/s]
 
 
@@ -47,14 +41,12 @@ _PLANE = (-62.0, 72.0)  # smallest real and largest imaginary part of the poles 
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(8, 10_000), batch=(1, LOOPS.size))
+    bounds = Bounds(arms=(8, 10_000))
 
     names: tuple[str, ...] = ()
     """Controllers to show. Default: all."""
     arms: int = 256
     """Arms for each cost, 8 to 10000. Where one thing is changed, a quarter of them."""
-    batch: int = 256
-    """Arms of the batch that is timed."""
 
 
 def measure(options: Options) -> dict[str, Any]:
@@ -69,11 +61,10 @@ def measure(options: Options) -> dict[str, Any]:
         make = PrivilegedController if name == ORACLE else costs.blind(CONTROLLERS[name]())
         rows[name] = costs.measure_costs(make, options.arms, options.arms // 4)
         if name != ORACLE:
-            rows[name] |= {"loop": scan(CONTROLLERS[name]()), "times": times(make([]), options.batch)}
+            rows[name]["loop"] = scan(CONTROLLERS[name]())
     return {
         "arms": options.arms,
         "moves": options.arms // 4,
-        "batch": options.batch,
         "first_seed": LOOPS.first,
         "oracle": ORACLE,
         "changes": [change.title for change in costs.CHANGES],
@@ -116,25 +107,6 @@ def worst(name: str, values: Floats) -> dict[str, Any]:
     place = values.argmax() if name == "gain_down" else values.argmin()
     arm, k = np.unravel_index(int(place), values.shape)
     return {"value": values[arm, k], "arm": ARMS[arm], "degrees": np.degrees(ANGLES[k])}
-
-
-def times(controller: Controller, batch: int) -> dict[str, float]:
-    """Wall-clock of a controller on arms of the training ranges.
-
-    One arm plays the same episode several times, and the shortest time of each action counts, without other work of the
-    machine.
-
-    Returns:
-        `first`, an episode's first action of one arm, with the plan for its move; `median` and `slow`, the 99th
-        percentile, of its later actions; `batched`, per action in a batch [us]; and the batch's whole `episode` [s].
-    """
-    run = partial(microseconds, controller, steps=EPISODE_STEPS, seed=LOOPS.first, randomization="train")
-    alone = np.min([run(1) for _ in range(_REPETITIONS)], axis=0)
-    began = time.perf_counter()
-    batched = np.median(run(batch)) / batch
-    episode = time.perf_counter() - began
-    median, slow = np.percentile(alone[1:], [50, 99])
-    return {"first": alone[0], "median": median, "slow": slow, "batched": batched, "episode": episode}
 
 
 def gains(name: str) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from beltarm_env.rollout import rollout
 from eval import export
 from eval.comparison.sets import choose_set
 from eval.exports import hub
-from eval.exports.hub import CONFIG, EXCERPT, FILM, MODEL, PUBLISHED, bibtex
+from eval.exports.hub import CONFIG, FILM, MODEL, PUBLISHED, bibtex
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
@@ -81,7 +81,7 @@ def test_the_folder_of_a_shipped_policy(
     monkeypatch.setattr(hub, "PUBLISHED", few)
     share(str(POLICY), "--repo-id", "some-lab/arm.1", "--onnx", folder=tmp_path)
     folder = tmp_path / "results/hub/arm.1"
-    assert {path.name for path in folder.iterdir()} == {POLICY_FILE, CARD, CONFIG, EXCERPT, MODEL, ".gitattributes"}
+    assert {path.name for path in folder.iterdir()} == {POLICY_FILE, CARD, CONFIG, MODEL, ".gitattributes"}
     assert "hf upload some-lab/arm.1 results/hub/arm.1\n" in capsys.readouterr().out
     assert (folder / POLICY_FILE).read_bytes() == (POLICY / POLICY_FILE).read_bytes()
 
@@ -96,10 +96,6 @@ def test_the_folder_of_a_shipped_policy(
     for words in (mean_reward, "| payload_mass | 0.05 | 0.5 |", "without the guard", bibtex()):
         assert words in card.text
 
-    excerpt = json.loads((folder / EXCERPT).read_text())
-    assert (excerpt["n_eval_episodes"], excerpt["mean_reward"]) == (EPISODES, pytest.approx(np.mean(reward)))
-    assert excerpt["results_sha256"] == hashlib.sha256(few.read_bytes()).hexdigest()
-    assert {row["method"] for row in excerpt["rows"]} == {"ppo", "adaptive"} and len(excerpt["rows"]) == 20
     config = json.loads((folder / CONFIG).read_text())
     assert config["sha256"] == read_spec(POLICY)[1]["sha256"] and config["policy"] == POLICY_FILE
 
@@ -129,7 +125,7 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     card = huggingface_hub.ModelCard.load(tmp_path / "out" / CARD)
     assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"]
     assert "`my-ppo`" in card.text and "no classical controller" in card.text
-    assert (tmp_path / "out" / EXCERPT).exists() and not (tmp_path / "out" / "left.txt").exists()
+    assert not (tmp_path / "out" / "left.txt").exists()
 
 
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -137,7 +133,7 @@ def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(hub, "_SPEED", 10.0)
     share(str(ACCELEROMETER_POLICIES / "student/seed0"), "--video", folder=tmp_path)
     folder = tmp_path / "results/hub/student-BeltArm-v0"
-    assert (folder / FILM).read_bytes()[4:8] == b"ftyp" and not (folder / EXCERPT).exists()
+    assert (folder / FILM).read_bytes()[4:8] == b"ftyp"
     assert json.loads((folder / CONFIG).read_text())["sensors"] == "accelerometer"
 
 
