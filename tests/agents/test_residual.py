@@ -38,8 +38,8 @@ Singles = NDArray[np.float32]
 torch.set_num_threads(1)  # threads cost more than they give in networks this small
 
 
-def single_env(settings: ResidualSettings = SETTINGS, base: str = "paper", **arm: Any) -> ResidualEnv:
-    return ResidualEnv(BeltArmEnv(**{**ARMS, **arm}), CONTROLLERS[base](), settings)
+def single_env(settings: ResidualSettings = SETTINGS, base: str = "paper") -> ResidualEnv:
+    return ResidualEnv(BeltArmEnv(**ARMS), CONTROLLERS[base](), settings)
 
 
 def many(
@@ -108,38 +108,26 @@ def test_what_does_not_fit_is_refused():
         refused((ValueError, TypeError), words, call)
 
 
-class TestZeroResidual:
-    @pytest.mark.parametrize("base", BASES)
-    def test_is_the_base(self, base: str):
-        """For one arm, in a batch and as a controller."""
-        env, batch, expected = single_env(base=base), many(5, base=base), base_run(base, 5)
-        observed(batch)
-        env.reset(seed=30)
-        inner = env.unwrapped
-        assert isinstance(inner, BeltArmEnv)
-        total, truncated = 0.0, False
-        for hold in range(HOLDS):
-            _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
-            total += reward
-            now = expected.state[SETTINGS.hold * (hold + 1) - 1]
-            assert np.array_equal(inner.state, now[0])
-            stepped(batch, np.zeros((5, 1), np.float32))
-            assert hold == HOLDS - 1 or np.array_equal(batch.env.state, now)
-        assert truncated
-        assert -total == pytest.approx(expected.cost[0], rel=1e-12)
-        recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
-        for name in Recording.__slots__:
-            assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
-        assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
+@pytest.mark.parametrize("base", BASES)
+def test_a_residual_of_zero_is_the_base(base: str):
+    """For one arm and as a controller; that a batch is single arms is looked at below."""
+    env, expected, total, truncated = single_env(base=base), base_run(base, 5), 0.0, False
+    env.reset(seed=30)
+    for hold in range(HOLDS):
+        _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
+        total += reward
+        assert np.array_equal(env.unwrapped.state, expected.state[SETTINGS.hold * (hold + 1) - 1, 0])
+    assert truncated and -total == pytest.approx(expected.cost[0], rel=1e-12)
+    recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
+    for name in Recording.__slots__:
+        assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
+    assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
 
 
 def test_batch_agrees_with_single_arms_bit_for_bit():
-    count = 5
-    batch, singles = many(count), [single_env() for _ in range(count)]
-    done = np.zeros(count, np.bool_)
-    observations = observed(batch)
-    assert np.array_equal(observations, [single.reset(seed=30 + i)[0] for i, single in enumerate(singles)])
-    for residuals in 0.6 * random_residuals(count):
+    batch, singles, done = many(5), [single_env() for _ in range(5)], np.zeros(5, np.bool_)
+    assert np.array_equal(observed(batch), [single.reset(seed=30 + i)[0] for i, single in enumerate(singles)])
+    for residuals in 0.6 * random_residuals(5):
         observations, rewards, done, infos = stepped(batch, residuals)
         for i, single in enumerate(singles):
             seen, reward, terminated, truncated, _ = single.step(residuals[i])
@@ -188,14 +176,17 @@ def test_a_move_that_begins_with_the_sample_in_which_another_episode_ends():
     assert np.array_equal(seen[1], informed.seen(alone[None], memory)[0])
 
 
+class Counting:
+    """A policy whose residual says how often it was called."""
+
+    calls = 0
+
+    def predict(self, observation: Singles, *_: Any, **__: Any):
+        self.calls += 1
+        return np.full((len(observation), 1), self.calls / 10, np.float32), None
+
+
 def test_controller_holds_the_residual_and_restarts_with_an_episode_and_with_a_move():
-    class Counting(Silent):
-        calls = 0
-
-        def predict(self, observation: Singles, *_: Any, **__: Any):
-            self.calls += 1
-            return np.full((len(observation), 1), self.calls / 10, np.float32), None
-
     controller = ResidualController(CONTROLLERS["paper"](), Counting(), ResidualSettings(limit=1.0, hold=3))
     seen, memory, residuals = np.zeros((2, size()), np.float32), None, []
     for step in range(8):
