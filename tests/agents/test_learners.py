@@ -14,18 +14,14 @@ from optuna.trial import TrialState
 from refusals import refused
 from trainings import NAMES, StopAfter, in_memory, run, tiny
 
-import agents.runs.training
 from agents.learners import tuning
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, begin, counted, open_study, run_trials, training_command, tune
 from agents.policy.actor import actor_of
-from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
-from agents.runs.settings import task_of
 from agents.runs.training import News
-from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.tuning.study import ask, own
 from beltarm_env.task.cost import MAX_COST
@@ -59,22 +55,6 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
         assert isinstance(seen, np.ndarray)
         begins[0] |= step == 10
     assert np.std(residuals) > 1e-3
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
-    monitor = run(tiny(name, tmp_path, total_steps=128))
-    controller = load_controller(tmp_path / "last")
-    spec, _ = read_spec(tmp_path / "last")
-    assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
-    assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
-    validated = agents.runs.training.validate(controller, 4, task_of(1))
-    assert validated == spec.provenance["reached"]["validation"]
-    card = (tmp_path / "last" / "README.md").read_text()
-    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
-        assert word in card
-    best, _ = read_spec(tmp_path / "best")
-    assert best.provenance["run"]["steps"] == 128
 
 
 def test_what_leaving_costs(tmp_path: Path):
