@@ -12,7 +12,7 @@ from refusals import refused
 
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.controller import GuardedResidualController
-from baselines.guard.controller import GuardedController, GuardedMemory, guarded, servo_for
+from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import (
     ASKS,
     BASE_LEVEL,
@@ -105,8 +105,7 @@ class TestKernel:
             assert bench.step()[1] == LEARNED_LEVEL
 
     def test_residual_at_its_limit_for_long(self):
-        bench = Bench()
-        limited = {"base": -0.14, "residual": 0.15}
+        bench, limited = Bench(), {"base": -0.14, "residual": 0.15}
         assert bench.steps(DESIGN.longest_saturation, **limited)[1] == LEARNED_LEVEL
         assert bench.step(**limited)[1] == BASE_LEVEL
 
@@ -126,8 +125,7 @@ class TestKernel:
         assert bench.step(base=math.nan)[0] == -0.01, "the servo's at once"
 
     def test_lost_sample_holds_the_command(self):
-        bench = Bench()
-        angle = 10.0
+        bench, angle = Bench(), 10.0
         for k in range(200):
             angle += min(0.001 * k, 0.1)
             bench.step(angle=angle)
@@ -157,19 +155,6 @@ def test_settings_out_of_range_are_refused(value: Any):
     refused(ValueError, ("GuardSettings.slew", "1e+06"), lambda: GuardSettings(slew=value))
 
 
-class Watched:
-    """Controller whose memories are kept."""
-
-    def __init__(self, of: GuardedController) -> None:
-        self.params, self.of = of.params, of
-        self.memories: list[GuardedMemory] = []
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        action, memory = self.of.predict(*arguments, **named)
-        self.memories.append(memory)
-        return action, memory
-
-
 class TestInTheLoop:
     @pytest.mark.parametrize("name", ["paper", "flat"])
     def test_healthy_arms_move_as_without_it_alone_and_in_a_batch(self, name: str):
@@ -179,11 +164,18 @@ class TestInTheLoop:
         np.testing.assert_array_equal(behind.torque[:, 2], alone.torque[:, 0])
 
     @pytest.mark.parametrize("fault", ["stuck encoder", "sign error"])
-    def test_passive_where_the_encoder_lies(self, fault: str):
-        arms = FaultyArms(4, fault, randomization=TRAIN_RANGES)
-        watched = Watched(guarded("flat"))
-        run = record(watched, arms, seed=ARMS["seed"])
-        levels = np.array([memory.level for memory in watched.memories])
+    def test_passive_where_the_encoder_lies(self, fault: str, monkeypatch: pytest.MonkeyPatch):
+        arms, controller, seen = FaultyArms(4, fault, randomization=TRAIN_RANGES), guarded("flat"), list[Any]()
+        predict = controller.predict
+
+        def watched(*arguments: Any, **named: Any) -> Any:
+            action, memory = predict(*arguments, **named)
+            seen.append(memory.level)
+            return action, memory
+
+        monkeypatch.setattr(controller, "predict", watched)
+        run = record(controller, arms, seed=ARMS["seed"])
+        levels = np.array(seen)
         assert run.finished.all()
         for arm, onset in enumerate(arms.onset):
             assert (levels[:onset, arm] == LEARNED_LEVEL).all()
@@ -192,12 +184,7 @@ class TestInTheLoop:
 
     def test_learned_policy_that_is_no_number_is_its_base(self):
         policy = load_controller(POLICIES / "ppo" / "seed0")
-
-        class Broken:
-            def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
-                return np.full((len(observation), 1), np.nan, np.float32), None
-
-        policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
+        policy.policy.predict = lambda seen, *_, **__: (np.full((len(seen), 1), np.nan, np.float32), None)  # type: ignore
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
         run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
         base = rollout(policy.informed.base, 2, **ARMS)

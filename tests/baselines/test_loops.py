@@ -47,7 +47,7 @@ def as_control(system: System) -> control.StateSpace:
 
 
 @cache
-def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
+def frictionless(name: str, params: ArmParams) -> Any:
     """A controller with its gains that believes in an arm without Coulomb friction, and in a motor without ripple."""
     if name in ("paper", "rigid"):
         return {"paper": PaperController, "rigid": rigid_controller}[name](params)
@@ -93,29 +93,24 @@ def at_work(name: str, controller: Any, k: int, pulse: float) -> Floats:
     return np.array(angles[begin + 1 :])
 
 
-def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS) -> None:
-    """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
-    controller, pulse = frictionless(name, params), 1e-6
+@pytest.mark.parametrize(
+    ("name", "latency", "k"),
+    [
+        *((name, None, k) for name in CONTROLLERS for k in (0, 45)),
+        *((name, *of) for name in ("ei", "lqg", "preview", "mpc") for of in ((0.75, 0), (1.6, 30))),
+    ],
+)
+def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str, latency: float | None, k: int):
+    """Its own `predict`, in closed loop with the environment's arm, ideal and behind a drive."""
+    driven = replace(DRIVEN, command_latency=(latency or 0.0) * CONTROL_PERIOD)
+    params, pulse = FRICTIONLESS if latency is None else driven, 1e-6
+    controller = frictionless(name, params)
     motion = at_work(name, controller, k, pulse) - at_work(name, controller, k, 0.0)
     law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
     closed: Any = control.feedback(arm, cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
-
-
-class TestAgainstTheController:
-    """The controller's own `predict`, in closed loop with the environment's arm, does what its linear loop does."""
-
-    @pytest.mark.parametrize("k", [0, 45])
-    @each_controller
-    def test_response_to_a_pulse_of_torque(self, name: str, k: int):
-        check_pulse(name, k)
-
-    @pytest.mark.parametrize(("latency", "k"), [(0.75, 0), (1.6, 30)])
-    @pytest.mark.parametrize("name", ["ei", "lqg", "preview", "mpc"])
-    def test_response_behind_a_drive(self, name: str, latency: float, k: int):
-        check_pulse(name, k, replace(DRIVEN, command_latency=latency * CONTROL_PERIOD))
 
 
 @cache
@@ -129,12 +124,6 @@ def untuned(name: str) -> Any:
 def usual(name: str) -> Any:
     """A controller as it comes."""
     return CONTROLLERS[name]()
-
-
-def bears(controller: Any, k: int, params: ArmParams, samples: float) -> bool:
-    """Whether the loop at `ANGLES[k]` is stable with that much more latency."""
-    law = law_system(law_of(controller, k))
-    return is_stable(Loop(law, late_arm(params, float(ANGLES[k]), samples)))
 
 
 @each_controller
@@ -171,48 +160,33 @@ class TestMargins:
         assert down < 1e-3 or not is_stable(loop, down * 0.999)
 
 
-class TestKnownLoops:
-    """Margins of loops for which they are known in closed form."""
-
-    @staticmethod
+def test_margins_that_are_known_in_closed_form():
     def first_order(pole: float, gain: float) -> Margins:
         """Of L = gain / (z - pole)."""
         return margins_from_poles(np.array([[complex(pole)]]), np.array([[complex(pole - gain)]]))
 
-    def test_an_integrator(self):
-        # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
-        gain = 0.4
-        w = 2 * math.asin(gain / 2)
-        actual = self.first_order(1.0, gain)
-        assert actual.gain_up == pytest.approx(2 / gain, rel=1e-9)
-        assert actual.gain_down == 0
-        assert actual.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
-        assert actual.delay == pytest.approx((math.pi / 2 - w / 2) / w, rel=1e-9)
-
-    def test_a_loop_that_is_unstable_by_itself(self):
-        # z - 1.2 + g: stable for 0.2 < g < 2.2.
-        actual = self.first_order(1.2, 0.5)
-        assert actual.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
-        assert actual.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
-        # |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
-        assert actual.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
-
-    def test_an_unstable_loop_is_called_so(self):
-        assert not self.first_order(1.0, 2.1).stable
+    # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
+    w, integrator = 2 * math.asin(0.4 / 2), first_order(1.0, 0.4)
+    assert integrator.gain_up == pytest.approx(2 / 0.4, rel=1e-9) and integrator.gain_down == 0
+    assert integrator.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
+    assert integrator.delay == pytest.approx((math.pi / 2 - w / 2) / w, rel=1e-9)
+    # z - 1.2 + g: stable for 0.2 < g < 2.2; |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
+    unstable_alone = first_order(1.2, 0.5)
+    assert unstable_alone.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
+    assert unstable_alone.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
+    assert unstable_alone.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
+    assert not first_order(1.0, 2.1).stable
 
 
-class TestAgainstLatency:
-    """Poles of the loop with more latency, exactly sampled, against the delay margin, for any part of a sample."""
-
-    @pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
-    @pytest.mark.parametrize("name", TUNABLE)
-    def test_a_loop_bears_its_delay_margin_and_no_more(self, name: str, arm: str, k: int):
-        controller = untuned(name)
-        actual = margins(loop_at(controller, k, CORNERS[arm]))
-        assert actual.stable
-        for share in (0.0, 0.3, 0.6, 0.95):
-            assert bears(controller, k, CORNERS[arm], share * actual.delay[0])
-        assert not bears(controller, k, CORNERS[arm], 1.05 * actual.delay[0])
+@pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
+@pytest.mark.parametrize("name", TUNABLE)
+def test_a_loop_bears_its_delay_margin_and_no_more(name: str, arm: str, k: int):
+    """By poles of the loop with more latency, exactly sampled, for any part of a sample."""
+    actual, law = margins(loop_at(untuned(name), k, CORNERS[arm])), law_system(law_of(untuned(name), k))
+    assert actual.stable
+    for share in (0.0, 0.3, 0.6, 0.95, 1.05):
+        late = late_arm(CORNERS[arm], float(ANGLES[k]), share * actual.delay[0])
+        assert is_stable(Loop(law, late)) == (share < 1)
 
 
 def test_many_loops_at_once_have_the_margins_of_each():
@@ -267,15 +241,12 @@ class TestCondition:
         assert MarginCondition().shortfall(untuned(name)) == 0
         assert MarginCondition().shortfall(usual(name)) == 0
 
-    def test_what_is_asked_for_is_what_is_met(self):
-        least = least_margins(untuned("ei"))
-        assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(untuned("ei")) == 0
-        assert MarginCondition(modulus=least.modulus * 1.01, delay=0.1).shortfall(untuned("ei")) > 0
-        assert MarginCondition(modulus=0.1, delay=least.delay * 1.01).shortfall(untuned("ei")) > 0
-
-    def test_the_worst_place_is_named(self):
-        controller = untuned("disturbance")
+    def test_what_is_asked_for_is_what_is_met_and_the_worst_place_is_named(self):
+        controller = untuned("ei")
         least = least_margins(controller)
+        assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(controller) == 0
+        assert MarginCondition(modulus=least.modulus * 1.01, delay=0.1).shortfall(controller) > 0
+        assert MarginCondition(modulus=0.1, delay=least.delay * 1.01).shortfall(controller) > 0
         name, degrees = least.modulus_at.rsplit(", ", 1)
         k = round(int(degrees.rstrip("°")) / 2)
         assert margins(loop_at(controller, k, CORNERS[name])).modulus == pytest.approx(least.modulus, rel=1e-6)
