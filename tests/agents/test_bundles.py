@@ -17,17 +17,7 @@ from bundles import SPEC, Exploit, edit, halves, new_weights
 from refusals import refused
 from safetensors.numpy import save
 
-from agents.policy.bundle import (
-    ACCELEROMETER_POLICIES,
-    CARD,
-    POLICIES,
-    POLICY_FILE,
-    annotate,
-    load_controller,
-    read_bundle,
-    read_spec,
-    save_bundle,
-)
+from agents.policy.bundle import CARD, POLICY_FILE, annotate, load_controller, read_bundle, read_spec, save_bundle
 from agents.policy.card import card
 from agents.policy.description import MADE_FOR, BundleError, BundleSpec
 from agents.policy.network import NetworkPolicy
@@ -41,18 +31,15 @@ from beltarm_env.rollout import rollout
 NAN = math.nan
 MOST = 10**15
 SETTINGS = ResidualSettings()
+NOTED: Any = {"provenance": {"seed": 3, "note": "ζ", "a": {"b": [1, None]}}}
 SPECS = {
     "plain": BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
-    "more sensors": BundleSpec(
-        "ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", provenance={"seed": 3, "note": "ζ"}
-    ),
-    "no base": BundleSpec(
-        "sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", provenance={"a": {"b": [1, None]}}
-    ),
+    "more sensors": BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", **NOTED),
+    "no base": BundleSpec("sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", **NOTED),
     "lstm": BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
     "gru": BundleSpec("student", "adaptive", SETTINGS, (8,), "relu", gru=10, standardised=True),
 }
-SHIPPED = sorted(path.parent for root in (POLICIES, ACCELEROMETER_POLICIES) for path in root.glob(f"*/*/{POLICY_FILE}"))
+SHIPPED = sorted(path.parent for path in Path(__file__).parents[2].glob(f"agents/policies*/*/*/{POLICY_FILE}"))
 
 
 @pytest.fixture
@@ -63,12 +50,7 @@ def bundle(tmp_path: Path) -> Path:
     return folder
 
 
-def sha256(bundle: Path) -> str:
-    return read_spec(bundle)[1]["sha256"]
-
-
 def same(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> bool:
-    """Whether weights are the same bit for bit."""
     return ours.keys() == theirs.keys() and all(ours[name].tobytes() == theirs[name].tobytes() for name in ours)
 
 
@@ -89,12 +71,12 @@ class TestSaved:
         for name in ("a", "b", "a"):
             known = read_spec(tmp_path / "a")[0] if name == "b" else spec
             save_bundle(tmp_path / name, known, new_weights(spec, 0))
-            found.append(sha256(tmp_path / name))
+            found.append(read_spec(tmp_path / name)[1]["sha256"])
         files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
         assert files[0] == files[1] and len(files[0]) == 2 and len({*found}) == 1
         for changed in (replace(spec, provenance={"seed": 1}), replace(spec, residual=replace(SETTINGS, hold=5)), spec):
             save_bundle(tmp_path / "d", changed, new_weights(spec, int(changed == spec)))
-            found.append(sha256(tmp_path / "d"))
+            found.append(read_spec(tmp_path / "d")[1]["sha256"])
         assert len({*found}) == 4 and len(list((tmp_path / "d").iterdir())) == 2
         assert same(read_bundle(tmp_path / "d")[0].arrays, new_weights(spec, 1).arrays)
 
@@ -159,7 +141,6 @@ def damaged(place: Callable[[bytes], int]) -> Callable[[Path], object]:
 
 
 def foreign(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], object]:
-    """Other weights, with a fitting hash."""
     return lambda bundle: edit(bundle, {name: change(value) for name, value in new_weights().arrays.items()})
 
 

@@ -31,7 +31,6 @@ from beltarm_env.task.seeds import VALIDATION
 
 
 def untrained(**settings: Any) -> Observer:
-    """Observer that corrects nothing."""
     observer = Observer(**settings)
     with torch.no_grad():
         for parameter in observer.heads.parameters():

@@ -1,7 +1,6 @@
 """Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as ONNX models."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from bundles import SPEC, new_weights
+from commands import python
 from episodes import assert_same_in_batches
 from gymnasium.error import DependencyNotInstalled
 from hypothesis import given
@@ -32,13 +32,9 @@ INPUTS = 3
 
 def test_sizes_that_are_not_allowed():
     for change, words in (
-        ({"hidden": (0,)}, ("hidden", "0")),
-        ({"hidden": (4, 1025)}, ("hidden", "1025")),
-        ({"hidden": (4, True)}, ("True",)),
-        ({"hidden": (4,) * 9}, ("8 hidden", "9")),
-        ({"lstm": -1}, ("LSTM", "-1")),
-        ({"gru": 1025}, ("GRU", "1025")),
-        ({"lstm": 4, "gru": 5}, ("4 and 5",)),
+        *(({"hidden": (0,)}, ("hidden", "0")), ({"hidden": (4, 1025)}, ("hidden", "1025"))),
+        *(({"hidden": (4, True)}, ("True",)), ({"hidden": (4,) * 9}, ("8 hidden", "9"))),
+        *(({"lstm": -1}, ("LSTM", "-1")), ({"gru": 1025}, ("GRU", "1025")), ({"lstm": 4, "gru": 5}, ("4 and 5",))),
         ({"activation": "gelu"}, ("activation", "'gelu'")),
     ):
         refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
@@ -104,9 +100,9 @@ assert "torch" not in sys.modules
 
 @pytest.mark.slow
 def test_shipped_policies_act_and_are_compared_without_pytorch():
-    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
-    assert done.stdout.strip() == controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex()
+    expected = controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex()
+    assert python("-c", WITHOUT, cwd=ROOT).strip() == expected
 
 
 @pytest.mark.parametrize(

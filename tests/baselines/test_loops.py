@@ -31,18 +31,15 @@ Floats = NDArray[np.float64]
 
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 DRIVEN = replace(design_model(), coulomb_friction=0.0)
-DESIGN = CORNERS["design model"]
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
 TOLERANCE = {"adaptive": 0.1}
 """Its filter takes derivatives by differences over steps at which the arm is not quite linear, and some of a torque for
 what else it identifies."""
-each_controller = pytest.mark.parametrize("name", CONTROLLERS)
 
 
 def as_control(system: System) -> control.StateSpace:
-    """The same system for python-control."""
     return control.StateSpace(system.a, system.b[:, None], system.c[None], system.d, CONTROL_PERIOD)
 
 
@@ -115,18 +112,16 @@ def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str
 
 @cache
 def untuned(name: str) -> Any:
-    """A controller with the gains that its tuning begins with."""
     kind = TUNABLE[name]
     return kind.controller(kind.gains())
 
 
 @cache
 def usual(name: str) -> Any:
-    """A controller as it comes."""
     return CONTROLLERS[name]()
 
 
-@each_controller
+@pytest.mark.parametrize("name", CONTROLLERS)
 class TestMargins:
     def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
         for k in range(len(ANGLES)):
@@ -153,9 +148,8 @@ class TestMargins:
         loop = loop_at(usual(name), k)
         actual = margins(loop)
         (up,), (down,) = actual.gain_up, actual.gain_down
-        assert actual.stable
         inside = np.geomspace(max(down * 1.001, 1e-3), min(up * 0.999, 1e3), 12)
-        assert all(is_stable(loop, float(gain)) for gain in inside)
+        assert actual.stable and all(is_stable(loop, float(gain)) for gain in inside)
         assert up > 1e3 or not is_stable(loop, up * 1.001)
         assert down < 1e-3 or not is_stable(loop, down * 0.999)
 
@@ -190,7 +184,6 @@ def test_a_loop_bears_its_delay_margin_and_no_more(name: str, arm: str, k: int):
 
 
 def test_many_loops_at_once_have_the_margins_of_each():
-    """Also where their orders differ."""
     loops = [loop_at(untuned(name), k, CORNERS[arm]) for name in ("ei", "lqg") for k in (0, 45) for arm in CORNERS]
     alone = np.hstack([np.array(margins(loop), float) for loop in loops])
     np.testing.assert_allclose(np.array(margins(*loops), float), alone, rtol=1e-6)
@@ -204,17 +197,14 @@ class TestCorners:
                 assert all(getattr(arm, field) in TRAIN_RANGES[field] for field in LOOP_FIELDS)
 
     def test_no_other_constant_of_the_ranges_touches_the_loop(self):
-        reference = sampled_state_space(DESIGN, 0.7)
         for field in set(TRAIN_RANGES) - set(LOOP_FIELDS):
-            other = sampled_state_space(replace(DESIGN, **{field: TRAIN_RANGES[field][1]}), 0.7)
-            for mine, theirs in zip(reference, other, strict=True):
-                np.testing.assert_array_equal(mine, theirs)
+            other = replace(design_model(), **{field: TRAIN_RANGES[field][1]})
+            assert all(map(np.array_equal, *(sampled_state_space(arm, 0.7) for arm in (design_model(), other)))), field
 
     @pytest.mark.slow
     @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
     def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
-        angles = (0, 12, 24, 36, 45)
-        chosen = itertools.product((0, 1), repeat=len(LOOP_FIELDS))
+        angles, chosen = (0, 12, 24, 36, 45), itertools.product((0, 1), repeat=len(LOOP_FIELDS))
         every = [corner(*itertools.compress(LOOP_FIELDS, high)) for high in chosen]
         laws, least = {k: law_system(law_of(untuned(name), k)) for k in angles}, []
         for arms in (CORNERS.values(), every):

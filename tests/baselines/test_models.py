@@ -129,7 +129,6 @@ MOVES = st.builds(
 
 
 def smoothed(move: Floats, params: ArmParams, first: float, others: float) -> Floats:
-    """Corners of one smoothed move."""
     corners = np.empty(CORNERS)
     write_corners(MoveShape(*move), params.plant(), first, others, corners)
     return corners

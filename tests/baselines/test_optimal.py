@@ -21,16 +21,7 @@ from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.robust import (
-    RobustController,
-    RobustGains,
-    arms_around,
-    closed,
-    least_cost_gain,
-    loops_at,
-    lyapunov,
-    mean_cost,
-)
+from baselines.optimal.robust import RobustController, RobustGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -104,8 +95,8 @@ class TestFeedbackGains:
         ahead = step + (late - int(late)) * (a @ step - step)
         gain = feedback_gains(params, weights)[k] + [0, 0, 0, 0, 1]
         gain = gain[:4] @ ahead[:4] + gain[4] * np.eye(len(a))[-1]
-        closed = a - np.outer(b, gain)
-        cost = solve_discrete_lyapunov(closed.T, q + weights.change * np.outer(gain, gain))
+        loop = a - np.outer(b, gain)
+        cost = solve_discrete_lyapunov(loop.T, q + weights.change * np.outer(gain, gain))
         pushed = np.zeros(len(a))
         pushed[:4] = 0.01, 1.0, 1e-3, 0.05
         assert 1 - 1e-9 < pushed @ cost @ pushed / (pushed @ to_go @ pushed) < 1.0001
@@ -183,7 +174,7 @@ DESIGN, WEIGHTS, NOISE = design_model(), Weights(1.0, 10.0, 20.0), Noise(5e-3, 0
 
 class TestRobust:
     def test_arms_around_the_design_model_are_the_corners(self):
-        arms = arms_around(DESIGN)
+        arms = robust.arms_around(DESIGN)
         for name, corner in CORNERS.items():
             wanted = [getattr(corner, field) for field in LOOP_FIELDS]
             assert any(np.allclose([getattr(arm, field) for field in LOOP_FIELDS], wanted, 1e-9) for arm in arms), name
@@ -193,16 +184,16 @@ class TestRobust:
     @pytest.mark.parametrize("k", [0, 20, 45])
     def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
         controller = RobustController()
-        loops = loops_at(DESIGN, k, controller.gains.weights(), controller.gains.noise(), 0.1)
-        for arm, matrix in zip(arms_around(DESIGN), closed(controller.feedback[k], loops), strict=True):
+        loops = robust.loops_at(DESIGN, k, controller.gains.weights(), controller.gains.noise(), 0.1)
+        for arm, matrix in zip(robust.arms_around(DESIGN), robust.closed(controller.feedback[k], loops), strict=True):
             expected, actual = closed_poles(loop_at(controller, k, arm)), np.linalg.eigvals(matrix)
             assert all(np.abs(actual - pole).min() < 1e-6 for pole in expected[np.abs(expected) > 0.05])
 
     def test_lyapunovs_equation_is_solved_as_scipy_does(self):
-        loops = loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1)
-        a = closed(feedback_gains(DESIGN, WEIGHTS)[20], loops)
-        actual = lyapunov(a, loops.noise)
-        assert actual is not None and lyapunov(np.array([[[1.001, 0.0], [0.0, 0.5]]]), np.eye(2)[None]) is None
+        loops = robust.loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1)
+        a = robust.closed(feedback_gains(DESIGN, WEIGHTS)[20], loops)
+        actual = robust.lyapunov(a, loops.noise)
+        assert actual is not None and robust.lyapunov(np.array([[[1.001, 0.0], [0.0, 0.5]]]), np.eye(2)[None]) is None
         for single, matrix, noise in zip(actual, a, loops.noise, strict=True):
             expected = solve_discrete_lyapunov(matrix, noise)
             scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal())) + 1e-30
@@ -210,20 +201,20 @@ class TestRobust:
 
     @pytest.mark.parametrize("shrunk", [1.0, 0.99])
     def test_slope_is_that_of_the_cost(self, shrunk: float):
-        loops, gain = loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
-        _, slope = mean_cost(gain, loops, shrunk)
+        loops, gain = robust.loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
+        _, slope = robust.mean_cost(gain, loops, shrunk)
         for i, step in enumerate(1e-5 * np.diag(np.abs(gain))):
-            after, before = (mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
+            after, before = (robust.mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
             assert (after - before) / (2 * step[i]) == pytest.approx(slope[i], rel=1e-3)
 
     @pytest.mark.parametrize("k", [0, 20, 45])
     def test_its_gain_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int):
-        loops, start = loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
-        gain = least_cost_gain(start, loops)
-        cost = mean_cost(gain, loops)[0]
-        assert cost < 0.99 * mean_cost(start, loops)[0]
+        loops, start = robust.loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
+        gain = robust.least_cost_gain(start, loops)
+        cost = robust.mean_cost(gain, loops)[0]
+        assert cost < 0.99 * robust.mean_cost(start, loops)[0]
         for step in 0.1 * np.diag(start):
-            assert all(mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
+            assert all(robust.mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
 
     def test_holds_every_corner_at_every_angle_where_lqg_with_the_same_weights_does_not(self):
         weights = {"velocity_weight": 1.0, "torque_weight": 10.0, "change_weight": 20.0}

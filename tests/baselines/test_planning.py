@@ -190,7 +190,6 @@ class TestReplanning:
         assert before.renewed(self.situation(19, 0.5, 0.5, 0.5), TASK_WEIGHTS) is before
 
     def test_plans_around_the_end_are_made_from_where_the_arm_is_and_improved(self):
-        """Also where nothing else is known; so they cost the task less."""
         before, end = self.begun(), int(MOVES[1, 2] / 0.0015)
         step = end - end % 20
         now = self.situation(step, 0.0, 0.0, 0.0)
@@ -203,23 +202,14 @@ class TestReplanning:
         assert costs[1] < costs[0]
 
 
-@pytest.fixture(scope="module")
-def stored():
-    return read_file()
-
-
-def test_replayed_torques_cost_what_is_stored(stored):
-    contents, scenarios, actions = stored
+def test_stored_torques_cost_what_is_stored_and_no_controller_costs_less():
+    contents, scenarios, actions = read_file()
     metrics = replay(scenarios, actions).metrics()
     for name in METRICS:
         np.testing.assert_allclose([row[name] for row in contents["scenarios"]], metrics[name], rtol=1e-3, atol=1e-3)
     assert FILE.stat().st_size < 200_000 and "baselines/oracle.py" in contents["command"]
     for scenario in scenarios:
         assert Scenario.parse(f"{scenario.kind}:{scenario.seed}") == scenario
-
-
-def test_no_controller_costs_less(stored):
-    contents, scenarios, _ = stored
     least = np.array([row["cost"] for row in contents["scenarios"]])
     assert [row["optimiser_cost"] for row in contents["scenarios"]] == pytest.approx(least, rel=1e-6)
     assert (least < [row["privileged_cost"] for row in contents["scenarios"]]).all()
@@ -232,10 +222,8 @@ def costs_of_beginnings(scenario: Scenario, actions: np.ndarray) -> np.ndarray:
     steps = actions.shape[1]
     whole = np.zeros((len(actions), EPISODE_STEPS), np.float32)
     whole[:, :steps] = actions
-    replayed = replay([scenario] * len(actions), whole)
-    tip, speed = (
-        np.linalg.norm(e[:steps], axis=2).sum(axis=0) for e in (replayed.tip_error, replayed.tip_velocity_error)
-    )
+    played = replay([scenario] * len(actions), whole)
+    tip, speed = (np.linalg.norm(e[:steps], axis=2).sum(axis=0) for e in (played.tip_error, played.tip_velocity_error))
     change = np.abs(np.diff(whole[:, :steps].astype(np.float64), prepend=0)).sum(axis=1)
     return tip / 0.01 + speed / 0.2 + 0.1 * change
 

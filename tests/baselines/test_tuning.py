@@ -24,21 +24,13 @@ from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_ent
 from baselines.loops.condition import MarginCondition
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
-from baselines.tuning.search import (
-    RUNGS,
-    SearchProgress,
-    estimate,
-    hopeless,
-    least_budget,
-    open_search,
-    search,
-    split_budget,
-)
+from baselines.tuning import search as race
+from baselines.tuning.search import RUNGS, SearchProgress, least_budget, open_search, search, split_budget
 from baselines.tuning.study import begin_anew, own
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
 
-ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = str(Path(__file__).resolve().parents[2] / "baselines/tune.py")
 NAMES = tuple(TUNABLE)[:2]
 BATCH = RUNGS[0] * EPISODE_STEPS
 MIN_BUDGET = least_budget()
@@ -64,8 +56,6 @@ class Counting(PaperController):
 
 
 class Fragile(Counting):
-    """Raises with some gains and returns NaN with others."""
-
     def __init__(self, gains: OneGain) -> None:
         super().__init__(gains)
         if gains.vibration > 0.3:
@@ -104,14 +94,13 @@ class Watched(RetunedController):
 KIND, GUARDED = Tunable(Counting, OneGain), Tunable(Watched, TwoGains)
 
 
-def interrupted_after(calls: int, reports: list[SearchProgress] | None = None) -> Channel:
+def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
     """Channel that interrupts a search after so many reports of its progress, which are kept."""
-    seen = list[SearchProgress]() if reports is None else reports
 
     def interrupt(news: SearchProgress) -> None:
-        if len(seen) == calls:
+        if len(reports) == calls:
             raise KeyboardInterrupt
-        seen.append(news)
+        reports.append(news)
 
     return Channel(interrupt)
 
@@ -128,7 +117,6 @@ def test_a_search_keeps_its_budget_and_helps(moves: int, tmp_path: Path):
 
 
 def finished(kind: type[Gains], seed: int, journal: Path) -> list[tuple[Any, ...]]:
-    """Settings, values and costs of the trials that came to their end."""
     trials = open_search(kind, seed, journal).get_trials(states=(TrialState.COMPLETE,))
     return [(trial.params, trial.value, trial.intermediate_values) for trial in trials]
 
@@ -138,17 +126,16 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     journal, budget = tmp_path / "journal", 4 * MIN_BUDGET
     for calls in (0, 2, 3):
         with pytest.raises(KeyboardInterrupt):
-            search(KIND, budget, 0, journal, interrupted_after(calls))
+            search(KIND, budget, 0, journal, interrupted_after(calls, []))
     Counting.steps = 0
     result = search(KIND, budget, 0, journal)
-    assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
     assert result.steps <= budget
+    assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
     search(KIND, budget + MIN_BUDGET, 0, tmp_path / "whole")
     ours, theirs = (finished(OneGain, 0, path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
-    assert search(KIND, budget, 0, journal) == result
-    assert Counting.steps == 0
+    assert search(KIND, budget, 0, journal) == result and Counting.steps == 0
     for other, seed, words in ((MIN_BUDGET, 0, "--budget"), (budget, 1, "seed 0, not 1")):
         refused(ValueError, (words,), partial(search, KIND, other, seed, journal))
 
@@ -208,16 +195,17 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
 
 
 def test_laws_of_the_race():
-    """The arms' difficulty is taken out, and only what is clearly worse, by ranks and in the mean, is hopeless."""
+    """The arms' difficulty is taken out, and only what is clearly worse, by ranks and in the mean, is race.hopeless."""
     random = np.random.default_rng(0)
     best, noise = random.lognormal(6, 1, RUNGS[-1]), 100 * random.standard_normal(RUNGS[0])
     few, none = best[: RUNGS[0]], np.empty(0)
-    assert estimate(few + 10, best) == pytest.approx(best.mean() + 10) and estimate(few, none) == few.mean()
-    assert estimate(best + 10, best) == pytest.approx(best.mean() + 10)
-    assert hopeless(few + noise + 50, best) and hopeless(best + 1, best)
-    assert not (hopeless(few + noise + 5, best) or hopeless(few - 50, best) or hopeless(few + 1000, none))
+    assert race.estimate(few + 10, best) == pytest.approx(best.mean() + 10)
+    assert race.estimate(best + 10, best) == pytest.approx(best.mean() + 10)
+    assert race.estimate(few, none) == few.mean()
+    assert all(race.hopeless(*worse) for worse in ((few + noise + 50, best), (best + 1, best)))
     mostly_worse = few + np.append(np.ones(RUNGS[0] - 1), -1000.0)
-    assert not hopeless(mostly_worse, best)
+    fair = (few + noise + 5, best), (few - 50, best), (few + 1000, none), (mostly_worse, best)
+    assert not any(race.hopeless(*costs) for costs in fair)
 
 
 def test_gains_are_written_beside_the_others_and_refused_where_they_do_not_fit(tmp_path: Path):
@@ -242,9 +230,6 @@ def test_gains_are_written_beside_the_others_and_refused_where_they_do_not_fit(t
         refused(ValueError, words, lambda: tuned("vibrating", OneGain, path))
 
 
-# The command
-
-
 @pytest.fixture
 def tune(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., dict[str, Any]]]:
     """The command in a folder of its own, within this process: its words, to the entries of the file of gains."""
@@ -252,7 +237,7 @@ def tune(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
     before = signal.getsignal(signal.SIGTERM)
 
     def run(*words: str) -> dict[str, Any]:
-        monkeypatch.setattr(sys, "argv", [str(ROOT / "baselines/tune.py"), *words])
+        monkeypatch.setattr(sys, "argv", [SCRIPT, *words])
         main()
         return read_file(tmp_path / "gains.json")
 
@@ -263,17 +248,16 @@ def tune(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
 def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
     name, out, journal = NAMES[0], tmp_path / "gains.json", tmp_path / "results" / "tune" / f"{NAMES[0]}.journal"
     out.write_text("{}")
-    script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--moves", "1", "--out", "gains.json"]
-    process = subprocess.Popen(script, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    words = (name, "--moves", "1", "--out", "gains.json")
+    piped: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, SCRIPT, *words], cwd=tmp_path, **piped)
     until(lambda: journal.exists() and '"costs"' in journal.read_text(), 300)
     process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=300)
-    assert process.returncode == 130, errors
-    assert errors.replace(f"{ANNOUNCEMENT}\n", "") == ""
-    assert f"python baselines/tune.py {name} --moves 1 --out gains.json --resume" in output
-    assert out.read_text() == "{}"
+    assert process.returncode == 130 and errors.replace(f"{ANNOUNCEMENT}\n", "") == "", errors
+    assert f"python baselines/tune.py {' '.join(words)} --resume" in output and out.read_text() == "{}"
     size, budget = journal.stat().st_size, 2 * MIN_BUDGET
-    words = (name, "--moves", "1", "--out", "gains.json", "--resume", "--budget", str(budget))
+    words = (*words, "--resume", "--budget", str(budget))
     origin = tune(*words)[name]["provenance"]
     assert capsys.readouterr().err == ""
     assert journal.stat().st_size > size and origin["command"] == f"python baselines/tune.py {' '.join(words)}"
