@@ -6,8 +6,6 @@ import os
 import pickle
 import pydoc
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -17,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from commands import stopped
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
 from trainings import NAMES, TINY, StopAfter, run, same_policies, tiny, weights
-from waiting import until
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
@@ -34,17 +32,10 @@ from baselines.engines.parallel import Channel, Interrupted
 from baselines.engines.workplace import Workplace
 from baselines.tools.files import sealed
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 def model(monitor: TrainingMonitor) -> BaseAlgorithm:
     assert isinstance(monitor.learner, ModelLearner)
     return monitor.learner.model
-
-
-def same_weights(first: TrainingMonitor, second: TrainingMonitor) -> bool:
-    ours, theirs = model(first).policy.state_dict(), model(second).policy.state_dict()
-    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def costs(monitor: TrainingMonitor) -> list[tuple[int, float]]:
@@ -83,30 +74,14 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, whole_of: Any, tmp_
         np.random.seed(5)  # noqa: NPY002
         torch.manual_seed(9)
     parts = run(replace(config, resume=True))
-    assert same_weights(whole, parts)
+    ours, theirs = model(whole).policy.state_dict(), model(parts).policy.state_dict()
+    assert ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
     for kind in [kind for kind in model(whole).get_parameters() if kind.endswith("optimizer")]:
         ours, theirs = (model(monitor).get_parameters()[kind]["state"] for monitor in (whole, parts))
         assert ours.keys() == theirs.keys() and len(ours)
         assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
     assert costs(whole) == costs(parts) and len(costs(whole)) == 3
     assert same_policies(whole.config.out, config.out)
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_from_its_last_checkpoint(whole_of: Any, tmp_path: Path):
-    """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
-    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) as process:
-        until((tmp_path / "run/checkpoint.pkl").exists, 300)
-        process.kill()
-    for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
-        (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
-        os.utime(tmp_path / "run" / half, (0, 0))  # as if an hour had passed
-    killed = run(tiny("ppo", tmp_path / "run", resume=True))
-    assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
-    whole = whole_of("ppo")
-    assert same_weights(killed, whole) and costs(killed) == costs(whole)
-    assert weights(tmp_path / "run" / "last") == weights(whole.config.out / "last")
 
 
 @pytest.fixture(scope="module")
@@ -173,20 +148,16 @@ def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
     return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
 
 
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"resume": False}, "--resume.*--overwrite.*--out"),
-    ({"seed": 1}, "--seed 0, not 1"),
-    ({"arms": 16}, "--arms 8, not 16"),
-    ({"hidden": (4, 4)}, r"--hidden \[8\], not \[4, 4\]"),
-    ({"learning_rate": 1e-3}, "--learning-rate 0.00035, not 0.001"),
-]
-
-
-@pytest.mark.parametrize(("options", "words"), REFUSED, ids=str)
-def test_a_run_is_not_mixed_with_another(options: dict[str, Any], words: str, copied: Path):
+def test_a_run_is_not_mixed_with_another(copied: Path):
     before = sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir())
-    with pytest.raises(ValueError, match=words):
-        run(resumed(copied, **options))
+    for options, words in (
+        ({"resume": False}, ("--resume", "--overwrite", "--out")),
+        ({"seed": 1}, ("--seed 0, not 1",)),
+        ({"arms": 16}, ("--arms 8, not 16",)),
+        ({"hidden": (4, 4)}, ("--hidden [8], not [4, 4]",)),
+        ({"learning_rate": 1e-3}, ("--learning-rate 0.00035, not 0.001",)),
+    ):
+        refused(ValueError, words, partial(run, resumed(copied, **options)))
     refused(ValueError, ("run in", "--"), lambda: run(tiny("sac", copied, resume=True)))
     assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
 
@@ -205,16 +176,12 @@ def test_overwriting_deletes_the_run_and_nothing_else(copied: Path, tmp_path: Pa
     assert (tmp_path / "other/best/picture.png").exists()
 
 
-def flipped(data: bytes, place: int) -> bytes:
-    """The same but for one bit."""
-    return data[:place] + bytes([data[place] ^ 16]) + data[place:][1:]
-
-
 def test_damaged_checkpoints_and_settings(copied: Path):
     path, settings = copied / "checkpoint.pkl", copied / "config.json"
     whole, config = path.read_bytes(), settings.read_text()
     others = b"", whole[:-1000], b"not a pickle", pickle.dumps([1, 2]), sealed(pickle.dumps([1, 2]))
-    for damaged in (*others, flipped(whole, 100), flipped(whole, len(whole) - 100)):
+    flipped = [whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :] for at in (100, len(whole) - 100)]
+    for damaged in (*others, *flipped):
         path.write_bytes(damaged)
         refused(ValueError, ("checkpoint.pkl", "--out"), lambda: run(resumed(copied)))
     path.write_bytes(whole)
@@ -227,17 +194,16 @@ def test_damaged_checkpoints_and_settings(copied: Path):
     refused(ValueError, ("gains of the base",), lambda: run(resumed(copied)))
 
 
-MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
-    "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
-    "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
-}
-
-
-@pytest.mark.parametrize("case", MISFITS)
-def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
+        (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
+        (lambda content: content["learner"].update(env=3), "TypeError: "),
+    ],
+)
+def test_checkpoints_of_another_version_are_not_given_up(change: Any, words: str, copied: Path):
     """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
-    change, words = MISFITS[case]
     content = pickle.loads((copied / "checkpoint.pkl").read_bytes())
     change(content)
     (copied / "checkpoint.pkl").write_bytes(sealed(pickle.dumps(content)))
@@ -274,35 +240,31 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.slow
-def test_several_seeds_give_the_runs_that_they_give_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    """Also beside one that fails."""
+def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(whole_of: Any, tmp_path: Path):
     many = tmp_path / "many"
     many.mkdir()
-    (many / "seed5").write_text("a file")
-    monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
-    with pytest.raises(SystemExit) as end:
-        main(PpoConfig, None)
-    reported = capsys.readouterr().err.splitlines()
-    assert end.value.code == 2 and len(reported) == 2
-    assert "seed5: cannot write to" in reported[0] and "1 other runs" in reported[1]
-    run(tiny("ppo", tmp_path / "alone", seed=4))
-    assert weights(many / "seed4/last") == weights(tmp_path / "alone/last")
+    (many / "seed1").write_text("a file")
+    code, errors = stopped(lambda: main(PpoConfig, None), ("--out", "many", "--seeds", "2", *TINY), tmp_path)
+    reported = errors.splitlines()
+    assert code == 2 and len(reported) == 2
+    assert "seed1: cannot write to" in reported[0] and "1 other runs" in reported[1]
+    assert weights(many / "seed0/last") == weights(whole_of("ppo").config.out / "last")
     with Workplace(tiny("ppo", many), many) as local:
-        with pytest.raises(ValueError, match="seed4 already holds a run"):
-            runs_of(tiny("ppo", many, seed=4, seeds=2), local)
-        (many / "seed5").unlink()
-        going_on = runs_of(tiny("ppo", many, seed=4, seeds=2, resume=True), local)
+        refused(ValueError, ("seed0 already holds a run",), lambda: runs_of(tiny("ppo", many, seeds=2), local))
+        (many / "seed1").unlink()
+        going_on = runs_of(tiny("ppo", many, seeds=2, resume=True), local)
     assert [each.resume for each in going_on.values()] == [True, False], "one that was waiting begins"
 
 
 def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, tmp_path: Path):
-    """With the very options that it was begun with, which are not those of resuming."""
+    """With the very options that it was begun with, which are not those of resuming; what is half written goes."""
     config = tiny("ppo", tmp_path / "run", total_steps=128)
     refused(Interrupted, ("at 64 steps",), lambda: run(config, StopAfter(1)))
+    for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
+        (config.out / half).write_bytes(b"\x80\x05half")
+        os.utime(config.out / half, (0, 0))  # as if an hour had passed
     end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
-    assert end.steps == 128
+    assert end.steps == 128 and [path.name for path in config.out.rglob(".*")] == [".lock"]
     assert weights(tmp_path / "run/last") == weights(finished[0] / "last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 

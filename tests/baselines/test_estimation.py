@@ -133,8 +133,6 @@ class TestMeasurementEquation:
 
 
 class TestGains:
-    """Steady-state gains of the observer with three readings."""
-
     noise = Noise(torque=5e-3, acceleration=0.3, disturbance=1e-3)
 
     def arm(self, k: int) -> tuple[LinearArms, Floats]:
@@ -264,8 +262,6 @@ class TestIdentification:
 
 
 class TestParts:
-    """What a filter knows where the gripper picks and places parts."""
-
     def test_opens_the_swing_by_what_a_part_may_change(self):
         """Against the formula in NumPy: a part is placed, picked, exchanged, and placed; all else stays as it was."""
         identifier, env, swing = tuned_identifier(), batch(4, randomization="train"), LOGS.start
@@ -305,7 +301,7 @@ class TestParts:
         assert belief.variance[0, LOGS.start] < belief.variance[1, LOGS.start]
 
     def test_a_shift_costs_less_with_what_is_known_from_its_moves(self):
-        """Moves two to four of 16 arms, against controllers that begin anew and do not know of parts."""
+        """Moves two to four of 10 arms, against controllers that begin anew and do not know of parts."""
 
         class Forgetful(AdaptiveController):
             remembers = False
@@ -315,7 +311,7 @@ class TestParts:
 
         gains, ranges = tuned("adaptive", AdaptiveGains), {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
         settings: dict[str, Any] = {"seed": TRAIN_SEED, "moves": 4, "randomization": ranges}
-        costs = [rollout(kind(gains), 16, **settings).cost[16:].mean() for kind in (AdaptiveController, Forgetful)]
+        costs = [rollout(kind(gains), 10, **settings).cost[10:].mean() for kind in (AdaptiveController, Forgetful)]
         assert costs[0] < 0.9 * costs[1]
 
 

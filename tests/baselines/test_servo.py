@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from episodes import torques
 from refusals import refused
 from scipy.linalg import expm
 from scipy.signal import lsim
@@ -19,22 +20,14 @@ from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at
 from baselines.reading import read
+from baselines.servo import shaping
 from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, DisturbanceGains
 from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
 from baselines.servo.pid import INTEGRAL, MOST_RAMPS
-from baselines.servo.shaping import (
-    GAINS,
-    ExtraInsensitiveGains,
-    Kind,
-    ShapingController,
-    ShapingGains,
-    plan_shaped,
-    shares_of,
-    write_impulses,
-)
+from baselines.servo.shaping import ShapingController
 from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.observation import decode
@@ -45,13 +38,11 @@ from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, 
 NOMINAL = ArmParams()
 
 
-def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.ndarray:
+def observations(count: int = 5, steps: int = 250) -> np.ndarray:
     """What a few arms observe under random torques, shape (steps, count, size)."""
     env = BeltArmVectorEnv(count, randomization="ideal")
-    seen = [env.reset(seed=seed)[0]]
-    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
-    seen += [env.step(torque)[0] for torque in torques]
-    return np.stack(seen)
+    first, pushes = env.reset(seed=5_000_000)[0], 0.4 * torques(steps, hold=10)
+    return np.stack([first, *(env.step(np.full((count, 1), push))[0] for push in pushes)])
 
 
 class TestPaper:
@@ -115,7 +106,6 @@ def test_estimates_of_a_disturbance_follow_a_step_as_their_filters_do():
 
 
 KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
-"""An arm as the flat motion has it, behind a drive."""
 MOVE = {"start": 0.2, "goal": 1.4, "duration": 0.9, "ramp_time": 0.25}
 
 
@@ -174,24 +164,21 @@ def test_commands_on_their_way_are_no_disturbance(known: bool, actual: tuple[flo
 
 
 def planned(controller: SmoothController | ShapingController, move: np.ndarray) -> Ramps:
-    """Ramps of a controller for one move: start, goal, duration, ramp time."""
     ramps = Ramps(*np.zeros((3, MOST_RAMPS)))
-    plan = plan_smooth if isinstance(controller, SmoothController) else plan_shaped
+    plan = plan_smooth if isinstance(controller, SmoothController) else shaping.plan_shaped
     plan(controller.kernel().design, MoveShape(*move), ramps)
     count = np.count_nonzero(ramps.speed)
     return Ramps(*(part[:count] for part in ramps))
 
 
 def along(ramps: Ramps, start: float, time: float, smooth: bool = False) -> Reference:
-    """Motion along all of some ramps."""
     return motion_at(ramps, len(ramps.speed), smooth, start, time)
 
 
-def shaper(kind: Kind, mode: Mode, vibration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights and delays of a shaper's impulses."""
-    shares = shares_of(kind, vibration)
+def shaper(kind: shaping.Kind, mode: Mode, vibration: float) -> tuple[np.ndarray, np.ndarray]:
+    shares = shaping.shares_of(kind, vibration)
     ramps = Ramps(*np.zeros((3, len(shares))))
-    write_impulses(shares, mode, 0, ramps)
+    shaping.write_impulses(shares, mode, 0, ramps)
     return ramps.speed, ramps.onset
 
 
@@ -217,7 +204,7 @@ class TestRamps:
         for time in np.linspace(0.0, 0.95, 78):
             np.testing.assert_allclose(along(ramps, 0.3, time, smooth), reference_at(profile, move, time), atol=1e-12)
 
-    @pytest.mark.parametrize("kind", ["smooth", *GAINS])
+    @pytest.mark.parametrize("kind", ["smooth", *shaping.GAINS])
     def test_of_drawn_moves_are_causal_and_reach_the_goal_a_smooth_move_in_the_tasks_time(self, kind: Any):
         env, smooth = BeltArmVectorEnv(60, randomization="ideal"), kind == "smooth"
         controller = SmoothController() if smooth else ShapingController(kind=kind)
@@ -235,7 +222,7 @@ class TestShaper:
         root = math.sqrt(1 - zeta**2)
         half, k = math.pi / (20 * root), math.exp(-math.pi * zeta / root)
         mode = Mode(2 * half, k)
-        closed: dict[Kind, list[float]] = {"zv": [1, k], "zvd": [1, 2 * k, k * k], "ei": [1.1, 1.8 * k, 1.1 * k * k]}
+        closed: Any = {"zv": [1, k], "zvd": [1, 2 * k, k * k], "ei": [1.1, 1.8 * k, 1.1 * k * k]}
         for kind, shares in closed.items():
             weights, delays = shaper(kind, mode, 0.1)
             np.testing.assert_allclose(weights, np.array(shares) / sum(shares), rtol=1e-14)
@@ -261,12 +248,12 @@ class TestShaper:
         assert mode.period == pytest.approx(2 * math.pi / pole.imag, rel=1e-6)
         assert mode.decay == pytest.approx(math.exp(math.pi * pole.real / pole.imag), rel=1e-6)
 
-    @pytest.mark.parametrize("kind", GAINS)
-    def test_a_move_on_a_matched_linear_arm_leaves_no_ringing(self, kind: Kind):
+    @pytest.mark.parametrize("kind", shaping.GAINS)
+    def test_a_move_on_a_matched_linear_arm_leaves_no_ringing(self, kind: shaping.Kind):
         # M2 is the same everywhere: the arm is linear but for friction.
         params = ArmParams(arm_inertia=0.05, arm_inertia_swing=0.0, belt_damping_ratio=0.0)
         move, time, w = np.array([0.2, 1.2, 0.9, 0.2]), np.arange(0.0, 1.8, 1e-4), math.sqrt(33 / 0.05)
-        gains = ExtraInsensitiveGains(vibration=0.0) if kind == "ei" else None
+        gains = shaping.ExtraInsensitiveGains(vibration=0.0) if kind == "ei" else None
         ramps = planned(ShapingController(gains, params, kind), move)
         system = ([[0, w], [-w, 0]], [[0], [w]], np.eye(2), np.zeros((2, 1)))  # theta_s'' + w^2 theta_s = theta_1''
         _, _, shaped = lsim(system, [along(ramps, 0.2, t).acceleration for t in time], time)
@@ -278,4 +265,4 @@ class TestShaper:
         unknown: Any = "zvdd"
         refused(ValueError, ("kind", "'zvdd'"), lambda: ShapingController(kind=unknown))
         words = ("'ei'", "ExtraInsensitiveGains", "got ShapingGains")
-        refused(TypeError, words, lambda: ShapingController(ShapingGains(), kind="ei"))
+        refused(TypeError, words, lambda: ShapingController(shaping.ShapingGains(), kind="ei"))
