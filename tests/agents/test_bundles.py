@@ -17,17 +17,7 @@ from bundles import SPEC, Exploit, edit, halves, new_weights
 from refusals import refused
 from safetensors.numpy import save
 
-from agents.policy.bundle import (
-    ACCELEROMETER_POLICIES,
-    CARD,
-    POLICIES,
-    POLICY_FILE,
-    annotate,
-    load_controller,
-    read_bundle,
-    read_spec,
-    save_bundle,
-)
+from agents.policy.bundle import CARD, POLICY_FILE, annotate, load_controller, read_bundle, read_spec, save_bundle
 from agents.policy.card import card
 from agents.policy.description import MADE_FOR, BundleError, BundleSpec
 from agents.policy.network import NetworkPolicy
@@ -41,18 +31,15 @@ from beltarm_env.rollout import rollout
 NAN = math.nan
 MOST = 10**15
 SETTINGS = ResidualSettings()
+NOTED: Any = {"provenance": {"seed": 3, "note": "ζ", "a": {"b": [1, None]}}}
 SPECS = {
     "plain": BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
-    "more sensors": BundleSpec(
-        "ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", provenance={"seed": 3, "note": "ζ"}
-    ),
-    "no base": BundleSpec(
-        "sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", provenance={"a": {"b": [1, None]}}
-    ),
+    "more sensors": BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", **NOTED),
+    "no base": BundleSpec("sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", **NOTED),
     "lstm": BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
     "gru": BundleSpec("student", "adaptive", SETTINGS, (8,), "relu", gru=10, standardised=True),
 }
-SHIPPED = sorted(path.parent for root in (POLICIES, ACCELEROMETER_POLICIES) for path in root.glob(f"*/*/{POLICY_FILE}"))
+SHIPPED = sorted(path.parent for path in Path(__file__).parents[2].glob(f"agents/policies*/*/*/{POLICY_FILE}"))
 
 
 @pytest.fixture
@@ -63,8 +50,8 @@ def bundle(tmp_path: Path) -> Path:
     return folder
 
 
-def sha256(bundle: Path) -> str:
-    return read_spec(bundle)[1]["sha256"]
+def same(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> bool:
+    return ours.keys() == theirs.keys() and all(ours[name].tobytes() == theirs[name].tobytes() for name in ours)
 
 
 class TestSaved:
@@ -73,33 +60,25 @@ class TestSaved:
         spec = SPECS[name]
         save_bundle(tmp_path, spec, new_weights(spec, 0))
         read, described, *_ = read_bundle(tmp_path)
-        assert described == spec
-        assert {name: value.tobytes() for name, value in read.arrays.items()} == {
-            name: value.tobytes() for name, value in new_weights(spec, 0).arrays.items()
-        }
+        assert described == spec and same(read.arrays, new_weights(spec, 0).arrays)
         original = ResidualController(make_base(spec.base), NetworkPolicy(new_weights(spec, 0)), spec.residual)
-        sensors: Any = spec.sensors
-        runs = [
-            rollout(controller, 3, seed=1, sensors=sensors, randomization="train", profile="scurve")
-            for controller in (original, load_controller(tmp_path))
-        ]
-        assert runs[0].torque.tobytes() == runs[1].torque.tobytes()
-        assert runs[0].state.tobytes() == runs[1].state.tobytes()
+        arms: dict[str, Any] = {"seed": 1, "sensors": spec.sensors, "randomization": "train", "profile": "scurve"}
+        ours, theirs = (rollout(controller, 3, **arms) for controller in (original, load_controller(tmp_path)))
+        assert ours.torque.tobytes() == theirs.torque.tobytes() and ours.state.tobytes() == theirs.state.tobytes()
 
     def test_its_hash_depends_on_content_alone(self, tmp_path: Path):
         spec, found = SPECS["plain"], list[str]()
         for name in ("a", "b", "a"):
             known = read_spec(tmp_path / "a")[0] if name == "b" else spec
             save_bundle(tmp_path / name, known, new_weights(spec, 0))
-            found.append(sha256(tmp_path / name))
+            found.append(read_spec(tmp_path / name)[1]["sha256"])
         files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
         assert files[0] == files[1] and len(files[0]) == 2 and len({*found}) == 1
         for changed in (replace(spec, provenance={"seed": 1}), replace(spec, residual=replace(SETTINGS, hold=5)), spec):
             save_bundle(tmp_path / "d", changed, new_weights(spec, int(changed == spec)))
-            found.append(sha256(tmp_path / "d"))
+            found.append(read_spec(tmp_path / "d")[1]["sha256"])
         assert len({*found}) == 4 and len(list((tmp_path / "d").iterdir())) == 2
-        kept = read_bundle(tmp_path / "d")[0].arrays
-        assert all(np.array_equal(kept[name], value) for name, value in new_weights(spec, 1).arrays.items())
+        assert same(read_bundle(tmp_path / "d")[0].arrays, new_weights(spec, 1).arrays)
 
     def test_a_policy_is_given_its_entries_by_name(self, tmp_path: Path):
         names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
@@ -111,14 +90,12 @@ class TestSaved:
         seen = np.random.default_rng(0).normal(size=(3, len(offered))).astype(np.float32)
         chosen = np.ascontiguousarray(seen[:, [offered.index(name) for name in names]])
         assert np.array_equal(loaded.policy.predict(seen)[0], NetworkPolicy(new_weights(spec, 0)).predict(chosen)[0])
-        with pytest.raises(ValueError, match=r"\(2, 3\).*--sensors"):
-            loaded.policy.predict(np.ones((2, 3), np.float32))
+        refused(ValueError, ("(2, 3)", "--sensors"), lambda: loaded.policy.predict(np.ones((2, 3), np.float32)))
 
     def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(self, tmp_path: Path):
         spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
         save_bundle(tmp_path, spec, new_weights(spec, 0))
-        controller = load_controller(str(tmp_path))
-        assert isinstance(controller.informed.base, AccelerometerAdaptiveController)
+        assert isinstance(load_controller(str(tmp_path)).informed.base, AccelerometerAdaptiveController)
         assert not isinstance(make_base("adaptive"), AccelerometerAdaptiveController)
         assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter
 
@@ -141,12 +118,12 @@ def test_a_policy_that_cannot_be_replaced_stays_valid(
     def replace_then_fail(*arguments: Any) -> None:
         calls.append(arguments)
         if len(calls) > files_written:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(errno.ENOSPC, "No space")
         rename(*arguments)
 
-    with monkeypatch.context() as patched, pytest.raises(OSError, match="No space"):
+    with monkeypatch.context() as patched:
         patched.setattr(os, "replace", replace_then_fail)
-        save_bundle(bundle, SPEC, new_weights())
+        refused(OSError, ("No space",), lambda: save_bundle(bundle, SPEC, new_weights()))
     assert (bundle / POLICY_FILE).read_bytes() == before
     assert sorted(os.listdir(bundle)) == sorted((CARD, POLICY_FILE))
     save_bundle(bundle, SPEC, new_weights())
@@ -164,7 +141,6 @@ def damaged(place: Callable[[bytes], int]) -> Callable[[Path], object]:
 
 
 def foreign(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], object]:
-    """Other weights, with a fitting hash."""
     return lambda bundle: edit(bundle, {name: change(value) for name, value in new_weights().arrays.items()})
 
 
@@ -210,9 +186,7 @@ def test_damaged_policies_are_refused(bundle: Path, damage: str):
 
 WRONG: list[tuple[dict[str, Any], str]] = [
     *[({name: value}, str(value)) for name in MADE_FOR for value in (None, "x", [2], {}, 99, NAN)],
-    ({"algorithm": "dqn"}, "dqn"),
-    ({"base": "lqr"}, "lqr"),
-    ({"activation": "gelu"}, "gelu"),
+    *[({name: value}, value) for name, value in [("algorithm", "dqn"), ("base", "lqr"), ("activation", "gelu")]],
     ({"sensors": "sonar"}, "sonar"),
     ({"entries": []}, "entries"),
     ({"entries": [["tip_speed", "m/s", 1.0, 1.0]]}, "tip_speed"),
@@ -240,13 +214,12 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 def test_descriptions_with_wrong_values_are_refused(bundle: Path, changes: dict[str, Any], words: str):
     """In one line, before anything uses them: not as a traceback, and not by numbers that JSON does not have."""
     edit(bundle, **changes)
-    with pytest.raises(BundleError, match=POLICY_FILE) as caught:
+    with pytest.raises(BundleError, match=rf"^[^\n]*{POLICY_FILE}[^\n]*\Z") as caught:
         load_controller(bundle)
-    assert "\n" not in str(caught.value)
     assert NAN in changes.values() or re.search(words, str(caught.value))
 
 
-def test_a_base_has_the_gains_that_it_had_in_training(bundle: Path):
+def test_a_base_has_the_gains_that_it_had_in_training_or_is_refused(bundle: Path):
     """Whatever gains the checkout has; they stay with the policy when its card is written again."""
     settings = read_spec(bundle)[1]["base_settings"]
     settings["gains"]["angle"] = 1.0
@@ -255,39 +228,32 @@ def test_a_base_has_the_gains_that_it_had_in_training(bundle: Path):
     assert read_spec(bundle)[1]["base_settings"] == settings
     base = load_controller(bundle).informed.base
     assert isinstance(base, PaperController) and base.gains.angle == 1.0 != CONTROLLERS["paper"]().gains.angle
-
-
-@pytest.mark.parametrize(("part", "field"), [("gains", "angel"), ("doubts", "swing")])
-def test_another_base_is_refused(bundle: Path, part: str, field: str):
-    settings = read_spec(bundle)[1]["base_settings"]
-    settings[part][field] = 0.5
-    edit(bundle, base_settings=settings, base_hash=settings_hash(settings))
-    refused(BundleError, (POLICY_FILE, f"{part}.{field}"), lambda: load_controller(bundle))
+    for part, field in (("gains", "angel"), ("doubts", "swing")):
+        another = {**settings, part: {**settings[part], field: 0.5}}
+        edit(bundle, base_settings=another, base_hash=settings_hash(another))
+        refused(BundleError, (POLICY_FILE, f"{part}.{field}"), lambda: load_controller(bundle))
 
 
 def test_loading_executes_nothing(bundle: Path, monkeypatch: pytest.MonkeyPatch):
     """A pickle in place of a policy is refused and not run; nothing is unpickled."""
-    target = bundle.parent / "executed"
-    pickled = pickle.dumps(Exploit(target))
+    pickled = pickle.dumps(Exploit(bundle.parent / "executed"))
     with monkeypatch.context() as patched:
         for name in ("pickle.load", "pickle.loads", "pickle.Unpickler", "torch.load"):
             patched.setattr(name, None)
         load_controller(bundle)
     (bundle / POLICY_FILE).write_bytes(pickled)
     refused(BundleError, (POLICY_FILE,), lambda: load_controller(bundle))
-    assert not target.exists()
+    assert not (bundle.parent / "executed").exists()
     pickle.loads(pickled)
-    assert target.exists(), "the exploit should work where a pickle is loaded"
+    assert (bundle.parent / "executed").exists(), "the exploit should work where a pickle is loaded"
 
 
-class TestCard:
-    def test_shipped_cards_are_what_is_written_today(self):
-        """If not, `agents.policy.bundle.annotate` writes the card of a policy again, and changes nothing else."""
-        for folder in SHIPPED:
-            spec, content = read_spec(folder)
-            text = (folder / CARD).read_text(encoding="utf-8")
-            assert text == card(content), folder
-            fields, body = halves(text)
-            assert list(fields) == ["library_name", "pipeline_tag", "tags"]
-            assert {"BeltArm-v0", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
-            assert all(words in body for words in ("docs/guide/export.md", POLICY_FILE, "payload_mass"))
+def test_shipped_cards_are_what_is_written_today():
+    """If not, `agents.policy.bundle.annotate` writes the card of a policy again, and changes nothing else."""
+    for folder in SHIPPED:
+        spec, content = read_spec(folder)
+        text = (folder / CARD).read_text(encoding="utf-8")
+        assert text == card(content), folder
+        fields, body = halves(text)
+        assert {"BeltArm-v0", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
+        assert all(words in body for words in ("docs/guide/export.md", POLICY_FILE, "payload_mass"))

@@ -1,8 +1,10 @@
 """Learning from a teacher, as `student` does: the advice, the fits, and the runs."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
+from refusals import refused
 from trainings import StopAfter, run, same_policies, tiny
 
 import agents.learners.student
@@ -30,7 +33,7 @@ from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
-from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
@@ -41,8 +44,6 @@ ARMS = 6
 
 
 class Constant:
-    """A policy whose residual never changes."""
-
     def __init__(self, residual: float) -> None:
         self.residual = residual
 
@@ -50,13 +51,9 @@ class Constant:
         return np.full((len(observation), 1), self.residual, np.float32), None
 
 
-def trial(controller: Controller) -> Recording:
-    return rollout(controller, ARMS, seed=SEED, randomization="train")
-
-
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return trial(CONTROLLERS["preview"]())
+    return rollout(CONTROLLERS["preview"](), ARMS, seed=SEED, randomization="train")
 
 
 class Law:
@@ -79,7 +76,7 @@ class Law:
         arms = teaching.ArmSimulation(design_model(), count)
         table = np.repeat(self.row[None], count, axis=0)
         now, last = np.repeat(self.states[:1], count, axis=0), np.zeros((count, 1))
-        states, torques = np.empty((EPISODE_STEPS, count, now.shape[1])), np.empty((EPISODE_STEPS, count))
+        states, torques, costs = np.empty((1200, count, now.shape[1])), np.empty((1200, count)), np.empty(count)
         for k in range(EPISODE_STEPS):
             away = np.concatenate([now - self.states[k], last], axis=1)
             torques[k] = self.torque[k] + changes[:, k] - away @ self.gain[k]
@@ -87,12 +84,8 @@ class Law:
             arms.set_table(table, np.full(count, float(k)))
             now = arms.advance(now, torques[k])
             states[k] = now
-        return self._charged(states, torques)
-
-    def _charged(self, states: NDArray[np.float64], torques: NDArray[np.float64]) -> NDArray[np.float64]:
         plant, drive = plant_of(self.row), built_drive(self.row)
-        costs = np.empty(states.shape[1])
-        for i in range(len(costs)):
+        for i in range(count):
             errors = tip_errors(np.ascontiguousarray(states[:, i, :4]), self.task, plant, drive)
             position, velocity = np.hypot(*errors.T[:2]) / POSITION_SCALE, np.hypot(*errors.T[2:]) / VELOCITY_SCALE
             change = TORQUE_RATE_WEIGHT * np.abs(np.diff(torques[:, i], prepend=0.0)) / self.limit
@@ -106,11 +99,9 @@ def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Record
     changes, curvatures = best_changes(recording)
     for arm in range(3):
         law = Law(recording, arm)
-        samples = np.arange(20, 1000, 70)
-        small = np.zeros((2 * len(samples), EPISODE_STEPS))
-        small[np.arange(len(samples)), samples] = step = 2e-6
-        small[len(samples) + np.arange(len(samples)), samples] = -step
-        up, down = law.cost(small).reshape(2, -1)
+        samples, step = np.arange(20, 1000, 70), 2e-6
+        single = step * np.eye(EPISODE_STEPS)[samples]
+        up, down = law.cost(np.concatenate([single, -single])).reshape(2, -1)
         reported = -2 * (curvatures * changes)[samples, arm] / law.limit
         actual = (up - down) / (2 * step)
         moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0
@@ -123,8 +114,7 @@ def test_who_follows_the_advice_pays_less(recording: Recording):
     changes, _ = best_changes(recording)
     for arm in range(3):
         law = Law(recording, arm)
-        shares = np.array([0.0, 0.3, 1.0])
-        costs = law.cost(shares[:, None] * changes[:, arm] * law.limit)
+        costs = law.cost(np.outer([0.0, 0.3, 1.0], changes[:, arm] * law.limit))
         assert costs[0] == pytest.approx(recording.cost[arm], rel=1e-6)
         assert costs[1] < 0.95 * costs[0] and costs[2] < 0.85 * costs[0]
 
@@ -133,7 +123,8 @@ def test_who_follows_the_advice_pays_less(recording: Recording):
 def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float, hold: int):
     settings = ResidualSettings(limit=0.2, hold=hold)
     recorder = Recorder(Constant(residual))
-    own = trial(ResidualController(CONTROLLERS["preview"](), recorder, settings))
+    controller = ResidualController(CONTROLLERS["preview"](), recorder, settings)
+    own = rollout(controller, ARMS, seed=SEED, randomization="train")
     advice = advise(own, recorder, settings)
     changes, curvatures = best_changes(own)
     assert advice.inputs.shape == (-(-EPISODE_STEPS // hold), ARMS, StudentConfig().spec().shape().inputs)
@@ -164,45 +155,28 @@ def test_advice_on_a_shift():
     assert moving and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
 
 
-class TestFit:
-    """What a student learns is the weighted mean of the advice about what it cannot tell apart."""
-
-    @staticmethod
-    def fitted(advice: Advice, **options: Any) -> Student:
-        config = tiny("student", Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
-        learner = Student(config)
-        learner.advice = [advice]
-        learner.fit()
-        return learner
-
-    @pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
-    def test_a_memory_tells_apart_what_looks_the_same(self, width: int, remembers: bool):
-        """Two episodes that differ in their first hold alone; what is the same in all training does not count."""
-        inputs = torch.zeros(10, 2, 27)
-        inputs[0, 0, 3] = inputs[..., 25] = 1.0
-        labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
-        actor = self.fitted(Advice(inputs.half(), labels, torch.ones(10, 2)), gru_width=width)._regression.network
-        late = actor(inputs)[-1, :, 0].detach().numpy()
-        torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), actor(inputs), rtol=0, atol=1e-5)
-        assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
-
-
-# Runs
+@pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
+def test_a_memory_tells_apart_what_looks_the_same(width: int, remembers: bool):
+    """Two episodes that differ in their first hold alone; what is the same in all training does not count."""
+    inputs = torch.zeros(10, 2, 27)
+    inputs[0, 0, 3] = inputs[..., 25] = 1.0
+    labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
+    learner = Student(tiny("student", Path("unused"), rounds=1, epochs=300, learning_rate=0.02, gru_width=width))
+    learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2))]
+    learner.fit()
+    actor = learner._regression.network
+    late = actor(inputs)[-1, :, 0].detach().numpy()
+    torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), actor(inputs), rtol=0, atol=1e-5)
+    assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
     """A run that nothing has interrupted: its folder, and the seeds of its trials."""
-    folder, seeds = tmp_path_factory.mktemp("whole") / "run", []
-
-    def noted(controller: Controller, arms: int, *, seed: int, **settings: Any) -> Recording:
-        seeds.append(seed)
-        return rollout(controller, arms, seed=seed, **settings)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agents.learners.student, "rollout", noted)
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    with patch.object(agents.learners.student, "rollout", wraps=rollout) as called:
         run(tiny("student", folder))
-    return folder, seeds
+    return folder, [call.kwargs["seed"] for call in called.call_args_list]
 
 
 def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]], tmp_path: Path):
@@ -212,8 +186,7 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
     holds = EPISODE_STEPS // config.hold
     first_round = holds + config.arms + config.epochs * config.arms // config.batch_size
     for number, looks in enumerate((17, holds + 2, first_round - 1, first_round + 10)):
-        with pytest.raises(Interrupted, match=r"interrupted at \d+ steps"):
-            run(replace(config, resume=number > 0), StopAfter(looks))
+        refused(Interrupted, ("steps",), partial(run, replace(config, resume=number > 0), StopAfter(looks)))
         torch.manual_seed(9)
     run(replace(config, resume=True))
     assert same_policies(tmp_path, folder)
@@ -223,10 +196,9 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
 
 def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[Path, list[int]]):
     folder, seeds = whole
-    trained = load_controller(folder / "last")
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.base, spec.gru) == ("student", "paper", 6)
-    scores = agents.runs.training.validate(trained, 2, task_of(1))
+    scores = agents.runs.training.validate(load_controller(folder / "last"), 2, task_of(1))
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
     (curve,) = find_curves([folder])
     assert curve.method == "student on paper"
@@ -236,16 +208,14 @@ def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[Path, list[int]]):
 
 def test_more_rounds_go_on_from_the_last(tmp_path: Path):
     """With a learning rate that falls to another end; and progress is reported."""
-    reports: list[News] = []
-    config = tiny("student", tmp_path, rounds=1)
+    reports, config = list[News](), tiny("student", tmp_path, rounds=1)
     run(config, report=reports.append)
     steps = [news.steps for news in reports]
     assert steps == sorted(steps) and steps[0] == 0 and steps[-1] == config.length
     assert len([news for news in reports if news.cost is not None]) == 2
     monitor = run(replace(config, rounds=2, resume=True))
     assert [point[0] for point in monitor.curve] == [0, config.length, 2 * config.length]
-    with pytest.raises(ValueError, match="--remembered 2, not 3"):
-        run(replace(config, resume=True, remembered=3))
+    refused(ValueError, ("--remembered 2, not 3",), lambda: run(replace(config, resume=True, remembered=3)))
 
 
 def test_the_untrained_policy_is_its_base(tmp_path: Path):
@@ -261,8 +231,7 @@ def test_the_untrained_policy_is_its_base(tmp_path: Path):
 def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int, arms: int):
     config = StudentConfig(seed=seed, rounds=rounds, arms=arms)
     if rounds * arms > SEED_SPACING:
-        with pytest.raises(ValueError, match=f"--rounds times --arms .* {rounds} times"):
-            config.check()
+        refused(ValueError, ("--rounds", "--arms", str(rounds)), config.check)
     else:
         config.check()
         assert training_arms(seed).first + rounds * arms <= training_arms(seed + 1).first

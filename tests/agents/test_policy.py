@@ -1,7 +1,6 @@
 """Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as ONNX models."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from bundles import SPEC, new_weights
+from commands import python
 from episodes import assert_same_in_batches
 from gymnasium.error import DependencyNotInstalled
 from hypothesis import given
@@ -32,13 +32,9 @@ INPUTS = 3
 
 def test_sizes_that_are_not_allowed():
     for change, words in (
-        ({"hidden": (0,)}, ("hidden", "0")),
-        ({"hidden": (4, 1025)}, ("hidden", "1025")),
-        ({"hidden": (4, True)}, ("True",)),
-        ({"hidden": (4,) * 9}, ("8 hidden", "9")),
-        ({"lstm": -1}, ("LSTM", "-1")),
-        ({"gru": 1025}, ("GRU", "1025")),
-        ({"lstm": 4, "gru": 5}, ("4 and 5",)),
+        *(({"hidden": (0,)}, ("hidden", "0")), ({"hidden": (4, 1025)}, ("hidden", "1025"))),
+        *(({"hidden": (4, True)}, ("True",)), ({"hidden": (4,) * 9}, ("8 hidden", "9"))),
+        *(({"lstm": -1}, ("LSTM", "-1")), ({"gru": 1025}, ("GRU", "1025")), ({"lstm": 4, "gru": 5}, ("4 and 5",))),
         ({"activation": "gelu"}, ("activation", "'gelu'")),
     ):
         refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
@@ -76,9 +72,8 @@ def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: i
     """Rows turned round, and cut where the kernel's tiles do not end."""
     policy, seen = NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], count, 3, seed)
     whole = answers(policy, seen)
-    np.testing.assert_array_equal(answers(policy, seen[:, ::-1])[:, ::-1], whole)
-    np.testing.assert_array_equal(answers(policy, seen[:, : 1 + count // 3]), whole[:, : 1 + count // 3])
-    np.testing.assert_array_equal(answers(policy, seen[:, -1:]), whole[:, -1:])
+    for rows in (slice(None, None, -1), slice(1 + count // 3), slice(-1, None)):
+        np.testing.assert_array_equal(answers(policy, seen[:, rows]), whole[:, rows])
 
 
 def test_a_memory_begins_anew_where_an_episode_does():
@@ -105,9 +100,9 @@ assert "torch" not in sys.modules
 
 @pytest.mark.slow
 def test_shipped_policies_act_and_are_compared_without_pytorch():
-    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
-    assert done.stdout.strip() == controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex()
+    expected = controller.predict(np.full((2, 26), 0.1, np.float32))[0].tobytes().hex()
+    assert python("-c", WITHOUT, cwd=ROOT).strip() == expected
 
 
 @pytest.mark.parametrize(
@@ -129,32 +124,25 @@ MORE = {
 }
 
 
-def answers_of_model(model: Any, seen: Singles, memory: tuple[int, ...]) -> tuple[Singles, Singles]:
-    """Residuals through whole episodes, shape (steps, count), and the last state."""
-    session = pytest.importorskip("onnx.reference").ReferenceEvaluator(model)
-    state, residuals = np.zeros((seen.shape[1], *memory), np.float32), []
-    for observation in seen:
-        fed = {"observation": observation, "state": state} if state.size else {"observation": observation}
-        residual, *following = session.run(None, fed)
-        state = following[0] if following else state
-        residuals.append(residual[:, 0])
-    return np.stack(residuals), state
-
-
 @pytest.mark.parametrize("name", [*SHAPES, *MORE])
 def test_residuals_and_states_of_a_model_are_the_policys(name: str):
+    """Through whole episodes, by the evaluator of ONNX."""
     shape = {**SHAPES, **MORE}[name]
     actor = lively(shape)
-    policy, seen, memory, expected = NetworkPolicy(actor.weights()), 0.5 * episodes(shape, 7, 5), None, []
-    for observation in seen:
+    policy, memory, expected = NetworkPolicy(actor.weights()), None, []
+    session = pytest.importorskip("onnx.reference").ReferenceEvaluator(model_of(actor.weights(), {}))
+    state = np.zeros((7, *policy.memory), np.float32)
+    for observation in 0.5 * episodes(shape, 7, 5):
         residual, memory = policy.predict(observation, memory)
-        expected.append(residual[:, 0])
-    residuals, state = answers_of_model(model_of(actor.weights(), {}), seen, policy.memory)
-    np.testing.assert_allclose(residuals, np.stack(expected), rtol=0, atol=2e-6)
+        fed = {"observation": observation, "state": state} if state.size else {"observation": observation}
+        actual, *following = session.run(None, fed)
+        np.testing.assert_allclose(actual, residual, rtol=0, atol=2e-6)
+        expected.append(residual)
+        if memory is not None:
+            (state,) = following
+            assert state.shape == memory.shape
+            np.testing.assert_allclose(state, memory, rtol=0, atol=2e-6)
     assert 0.05 < np.std(expected)
-    if memory is not None:
-        assert state.shape == memory.shape
-        np.testing.assert_allclose(state, memory, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("method", ["ppo", "student"])
@@ -165,11 +153,10 @@ def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
     onnx.checker.check_model(model, full_check=True)
     assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
     reported = {entry.key: entry.value for entry in model.metadata_props}
-    assert json.loads(reported["description"]) == content
-    assert json.loads(reported["entries"]) == spec.entries()
-    assert (reported["base"], reported["sensors"]) == (spec.base, "encoder")
-    assert (json.loads(reported["hold"]), json.loads(reported["limit"])) == (spec.residual.hold, spec.residual.limit)
-    assert json.loads(reported["edition"]) == content["edition"]
+    assert (reported.pop("base"), reported.pop("sensors")) == (spec.base, "encoder")
+    wanted = {"description": content, "entries": spec.entries(), "edition": content["edition"]}
+    wanted |= {"hold": spec.residual.hold, "limit": spec.residual.limit}
+    assert {name: json.loads(reported[name]) for name in wanted} == wanted
     shapes = {
         value.name: [axis.dim_param or axis.dim_value for axis in value.type.tensor_type.shape.dim]
         for value in (*model.graph.input, *model.graph.output)
@@ -182,11 +169,9 @@ def test_a_damaged_policy_makes_no_model(tmp_path: Path):
     save_bundle(tmp_path, SPEC, new_weights())
     path = tmp_path / POLICY_FILE
     path.write_bytes(path.read_bytes()[:-4] + np.float32(np.nan).tobytes())
-    with pytest.raises(BundleError, match="damaged"):
-        onnx_model(tmp_path)
+    refused(BundleError, ("damaged",), lambda: onnx_model(tmp_path))
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(DependencyNotInstalled, match=r"'\.\[onnx\]'"):
-        model_of(lively(MORE["no hidden layer"]).weights(), {})
+    refused(DependencyNotInstalled, ("[onnx]",), lambda: model_of(new_weights(), {}))

@@ -27,8 +27,7 @@ def taught(out: Path, **options: Any) -> PpoConfig:
 
 def test_ppo_begins_with_what_the_teacher_taught(tmp_path: Path):
     """Its policy is the student's, its critic learns first, and then the actor does."""
-    config = taught(tmp_path / "waits", total_steps=64)
-    learner = run(config).learner
+    learner = run(taught(tmp_path / "waits", total_steps=64)).learner
     assert isinstance(learner, TaughtLearner)
     student, actor = learner.student.actor(), learner.actor()
     ours, theirs = (each.weights().arrays for each in (actor, student))
@@ -42,19 +41,16 @@ def test_ppo_begins_with_what_the_teacher_taught(tmp_path: Path):
     assert not np.array_equal(learned["layers.0.weight"], theirs["layers.0.weight"])
 
 
-def test_its_policies_are_those_of_ppo(tmp_path: Path):
-    monitor = run(taught(tmp_path))
-    spec, _ = read_spec(tmp_path / "last")
+def test_a_run_that_is_stopped_in_either_part_goes_on_as_if_it_had_not_been(tmp_path: Path):
+    """And its policies are those of PPO."""
+    config, stops = taught(tmp_path / "parts"), 0
+    whole = run(replace(config, out=tmp_path / "whole"))
+    spec, _ = read_spec(tmp_path / "whole/last")
     assert (spec.algorithm, spec.standardised, spec.gru) == ("ppo", True, 0)
     rounds = [0, 4 * 30, 2 * 4 * 30]  # of 4 arms with 30 holds
-    assert [steps for steps, _, _ in monitor.curve] == [*rounds, rounds[-1] + 128, rounds[-1] + 256]
-    assert spec.provenance["run"]["steps"] == monitor.learner.steps == monitor.config.length
-    assert validate(load_controller(tmp_path / "last"), 4, task_of(1)) == spec.provenance["reached"]["validation"]
-
-
-def test_a_run_that_is_stopped_in_either_part_goes_on_as_if_it_had_not_been(tmp_path: Path):
-    config, stops = taught(tmp_path / "parts"), 0
-    run(replace(config, out=tmp_path / "whole"))
+    assert [steps for steps, _, _ in whole.curve] == [*rounds, rounds[-1] + 128, rounds[-1] + 256]
+    assert spec.provenance["run"]["steps"] == whole.learner.steps == whole.config.length
+    assert validate(load_controller(tmp_path / "whole/last"), 4, task_of(1)) == spec.provenance["reached"]["validation"]
     for looks in (5, 30, 70, 72):
         try:
             run(replace(config, resume=stops > 0), StopAfter(looks))

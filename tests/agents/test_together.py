@@ -15,6 +15,7 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combined
 from agents.residual.knowledge import filters_of
+from baselines import CONTROLLERS
 from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import size
@@ -47,10 +48,8 @@ def test_each_has_its_own_rows_and_memory(name: str):
     """Also where some rows begin an episode and others go on."""
     several = load_controller(*folders(name, 2)).policy
     alone = [load_controller(folder).policy for folder in folders(name, 2)]
-    rng = np.random.default_rng(0)
-    inputs = len(read_spec(folders(name, 1)[0])[0].offered())
-    memory, memories = None, [None] * 2
-    residuals = np.empty((0, 1), np.float32)
+    rng, inputs = np.random.default_rng(0), len(read_spec(folders(name, 1)[0])[0].offered())
+    memory, memories, residuals = None, [None] * 2, np.empty((0, 1), np.float32)
     for _ in range(6):
         seen = rng.uniform(-1, 1, (2 * SHARE, inputs)).astype(np.float32)
         begins = rng.random(2 * SHARE) < 0.3
@@ -60,23 +59,14 @@ def test_each_has_its_own_rows_and_memory(name: str):
             expected, memories[k] = policy.predict(seen[own], memories[k], begins[own])
             assert residuals[own].tobytes() == expected.tobytes()
     assert len({residual.tobytes() for residual in residuals}) == 2 * SHARE
-
-
-def test_rows_that_cannot_be_shared_are_refused():
-    several = load_controller(*folders("ppo", 2)).policy
-    refused(
-        ValueError, ("2 policies", "got 3", "multiple of 2"), lambda: several.predict(np.zeros((3, 26), np.float32))
-    )
-
-
-def bundle(folder: Path, hidden: tuple[int, ...]) -> Path:
-    spec = BundleSpec("ppo", "paper", ResidualSettings(), hidden, provenance={"run": {"of": folder.name}})
-    save_bundle(folder, spec, new_weights(spec))
-    return folder
+    refused(ValueError, ("2 policies", "got 3"), lambda: several.predict(np.zeros((3, inputs), np.float32)))
 
 
 def test_only_those_of_one_build_act_together(tmp_path: Path):
-    small, other, wide = bundle(tmp_path / "a", (4,)), bundle(tmp_path / "b", (4,)), bundle(tmp_path / "c", (5,))
+    small, other, wide = (tmp_path / name for name in "abc")
+    for folder, hidden in ((small, 4), (other, 4), (wide, 5)):
+        spec = BundleSpec("ppo", "paper", SETTINGS, (hidden,), provenance={"run": {"of": folder.name}})
+        save_bundle(folder, spec, new_weights(spec))
     assert are_alike([small]) and are_alike([small, other]) and not are_alike([small, other, wide])
     refused(ValueError, (str(wide), str(small), "each by itself"), lambda: load_controller(small, wide))
     (unlike,) = learned_methods([small, wide])
@@ -97,7 +87,8 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
             assert actual[name][seed].tobytes() == alone.over_moves(values).tobytes(), name
 
 
-def lively(spec: BundleSpec) -> ResidualController:
+def lively(name: str) -> ResidualController:
+    spec = SPECS[name]
     policy = NetworkPolicy(new_weights(spec, 0), spec.columns(), len(spec.offered()))
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
 
@@ -105,7 +96,7 @@ def lively(spec: BundleSpec) -> ResidualController:
 @pytest.mark.parametrize("name", SPECS)
 def test_residuals_of_one_arm_are_the_controllers(name: str):
     """Two episodes of one arm, the second cut in where the first one's residual is held."""
-    controller, sensors = lively(SPECS[name]), cast("Any", SPECS[name].sensors)
+    controller, sensors = lively(name), cast("Any", SPECS[name].sensors)
     kernel = correction(controller, sensors)
     for array in kernel.memory:  # whose content does not count
         array.fill(7)
@@ -129,12 +120,7 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
 
 
 def test_what_is_no_kernel_is_refused():
-    class Silent:
-        def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True):
-            return np.zeros((len(observation), 1), np.float32), state
-
-    with pytest.raises(TypeError, match="NetworkPolicy, got Silent"):
-        correction(ResidualController(make_base("paper"), Silent(), SETTINGS))
-    entries = size() + 1
-    with pytest.raises(ValueError, match=rf"observes {entries} entries, with sensors='full' there are {entries + 2}"):
-        correction(lively(SPECS["told nothing"]), "full")
+    other = ResidualController(make_base("paper"), CONTROLLERS["paper"](), SETTINGS)
+    refused(TypeError, ("NetworkPolicy", "PaperController"), lambda: correction(other))
+    words = (str(size() + 1), "'full'", str(size() + 3))
+    refused(ValueError, words, lambda: correction(lively("told nothing"), "full"))

@@ -6,46 +6,31 @@ import os
 import pickle
 import pydoc
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from commands import stopped
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import NAMES, TINY, run, same_policies, tiny, weights
-from waiting import until
+from trainings import NAMES, TINY, StopAfter, run, same_policies, tiny, weights
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.policy.bundle import read_spec
+from agents.policy.bundle import CARD, load_controller, read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
-from agents.runs.training import News, TrainingMonitor, train
-from baselines.engines.parallel import Channel, Interrupted, StopRequest
+from agents.runs.settings import task_of
+from agents.runs.training import News, TrainingMonitor, validate
+from agents.tensor_file import MAX_BYTES
+from baselines.engines.parallel import Channel, Interrupted
 from baselines.engines.workplace import Workplace
 from baselines.tools.files import sealed
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-class StopAt(StopRequest):
-    """Made once a run has come so far."""
-
-    def __init__(self, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        super().__init__()
-        original = TrainingMonitor.stop_if_asked
-
-        def stop_if_asked(monitor: TrainingMonitor) -> None:
-            self.made = monitor.learner.steps >= steps
-            original(monitor)
-
-        monkeypatch.setattr(TrainingMonitor, "stop_if_asked", stop_if_asked)
 
 
 def model(monitor: TrainingMonitor) -> BaseAlgorithm:
@@ -53,62 +38,58 @@ def model(monitor: TrainingMonitor) -> BaseAlgorithm:
     return monitor.learner.model
 
 
-def same_weights(first: TrainingMonitor, second: TrainingMonitor) -> bool:
-    ours, theirs = model(first).policy.state_dict(), model(second).policy.state_dict()
-    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
-
-
 def costs(monitor: TrainingMonitor) -> list[tuple[int, float]]:
     return [(steps, cost) for steps, _, cost in monitor.curve]
 
 
-# Interrupted and resumed
+@pytest.fixture(scope="module")
+def whole_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], TrainingMonitor]:
+    """Runs that nothing has interrupted, each made once, by the name of their algorithm."""
+    return cache(lambda name: run(tiny(name, tmp_path_factory.mktemp("whole") / "run")))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_bundles_of_all_algorithms(name: str, whole_of: Any):
+    whole = whole_of(name)
+    last = whole.config.out / "last"
+    spec, _ = read_spec(last)
+    assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in last.iterdir())
+    assert spec.provenance["curve"] == [list(point) for point in whole.curve]
+    validated = validate(load_controller(last), 4, task_of(1))
+    assert validated == spec.provenance["reached"]["validation"]
+    card = (last / CARD).read_text()
+    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
+        assert word in card
+    assert read_spec(whole.config.out / "best")[0].provenance["run"]["steps"] in (128, 256)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_interrupted_and_resumed_is_uninterrupted(name: str, whole_of: Any, tmp_path: Path):
     """Bit for bit: networks, optimisers, curve and bundles, whatever happened to the generators in between."""
-    whole = run(tiny(name, tmp_path / "whole"))
-    config = tiny(name, tmp_path / "parts")
-    for steps in (64, 192):
-        with pytest.raises(Interrupted, match=rf"interrupted at {steps} steps, saved in .*parts"):
-            run(replace(config, resume=steps > 64), StopAt(steps, monkeypatch))
-        monkeypatch.undo()
+    whole, config = whole_of(name), tiny(name, tmp_path / "parts")
+    each = 8 if name == "sac" else 64  # agent steps, after which a request to stop is looked at
+    for before, steps in ((0, 64), (64, 192)):
+        part = partial(run, replace(config, resume=before > 0), StopAfter((steps - before) // each))
+        refused(Interrupted, (f"at {steps} steps", str(config.out)), part)
         np.random.seed(5)  # noqa: NPY002
         torch.manual_seed(9)
     parts = run(replace(config, resume=True))
-    assert same_weights(whole, parts)
+    ours, theirs = model(whole).policy.state_dict(), model(parts).policy.state_dict()
+    assert ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
     for kind in [kind for kind in model(whole).get_parameters() if kind.endswith("optimizer")]:
         ours, theirs = (model(monitor).get_parameters()[kind]["state"] for monitor in (whole, parts))
         assert ours.keys() == theirs.keys() and len(ours)
         assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
     assert costs(whole) == costs(parts) and len(costs(whole)) == 3
-    assert same_policies(tmp_path / "whole", tmp_path / "parts")
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
-    """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
-    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) as process:
-        until((tmp_path / "run/checkpoint.pkl").exists, 300)
-        process.kill()
-    for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
-        (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
-        os.utime(tmp_path / "run" / half, (0, 0))  # as if an hour had passed
-    killed = run(tiny("ppo", tmp_path / "run", resume=True))
-    assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
-    whole = run(tiny("ppo", tmp_path / "whole"))
-    assert same_weights(killed, whole) and costs(killed) == costs(whole)
-    assert weights(tmp_path / "run" / "last") == weights(tmp_path / "whole" / "last")
+    assert same_policies(whole.config.out, config.out)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a run of PPO with 8 arms and 128 agent steps, to be copied."""
-    folder = tmp_path_factory.mktemp("finished") / "run"
-    run(tiny("ppo", folder, total_steps=128))
-    return folder
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[News]]:
+    """Folder of a run of PPO with 8 arms and 128 agent steps, to be copied, and what it has reported."""
+    folder, reports = tmp_path_factory.mktemp("finished") / "run", list[News]()
+    run(tiny("ppo", folder, total_steps=128), report=reports.append)
+    return folder, reports
 
 
 def last_curve(path: Path, text: str) -> bool:
@@ -125,9 +106,9 @@ def last_curve(path: Path, text: str) -> bool:
     ],
 )
 def test_a_run_killed_at_any_moment_is_finished_as_if_it_had_not_been(
-    where: str, when: Any, resume: bool, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    where: str, when: Any, resume: bool, finished: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    config, original = resumed(tmp_path / "run", resume=False), pydoc.locate(where)
+    (whole, _), config, original = finished, resumed(tmp_path / "run", resume=False), pydoc.locate(where)
     assert callable(original)
 
     def killed(*arguments: Any, **named: Any) -> Any:
@@ -135,14 +116,14 @@ def test_a_run_killed_at_any_moment_is_finished_as_if_it_had_not_been(
             raise KeyboardInterrupt
         return original(*arguments, **named)
 
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr(where, killed)
-        run(config)
+        refused(KeyboardInterrupt, (), lambda: run(config))
     again = run(replace(config, resume=resume))
     for kind in ("best", "last"):
-        assert weights(config.out / kind) == weights(finished / kind)
+        assert weights(config.out / kind) == weights(whole / kind)
         assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == 128
-    assert [point[::2] for point in read_spec(finished / "last")[0].provenance["curve"]] == [[*x] for x in costs(again)]
+    assert [point[::2] for point in read_spec(whole / "last")[0].provenance["curve"]] == [[*x] for x in costs(again)]
     assert len((config.out / "validation.csv").read_text().splitlines()) == 3
 
 
@@ -159,31 +140,25 @@ def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.fixture
-def copied(finished: Path, tmp_path: Path) -> Path:
-    shutil.copytree(finished, tmp_path / "run")
-    return tmp_path / "run"
+def copied(finished: Any, tmp_path: Path) -> Path:
+    return shutil.copytree(finished[0], tmp_path / "run")
 
 
 def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
     return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
 
 
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"resume": False}, "--resume.*--overwrite.*--out"),
-    ({"seed": 1}, "--seed 0, not 1"),
-    ({"arms": 16}, "--arms 8, not 16"),
-    ({"hidden": (4, 4)}, r"--hidden \[8\], not \[4, 4\]"),
-    ({"learning_rate": 1e-3}, "--learning-rate 0.00035, not 0.001"),
-]
-
-
-@pytest.mark.parametrize(("options", "words"), REFUSED, ids=str)
-def test_a_run_is_not_mixed_with_another(options: dict[str, Any], words: str, copied: Path):
+def test_a_run_is_not_mixed_with_another(copied: Path):
     before = sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir())
-    with pytest.raises(ValueError, match=words):
-        run(resumed(copied, **options))
-    with pytest.raises(ValueError, match=r"run in .*--"):
-        run(replace(tiny("sac", copied), resume=True))
+    for options, words in (
+        ({"resume": False}, ("--resume", "--overwrite", "--out")),
+        ({"seed": 1}, ("--seed 0, not 1",)),
+        ({"arms": 16}, ("--arms 8, not 16",)),
+        ({"hidden": (4, 4)}, ("--hidden [8], not [4, 4]",)),
+        ({"learning_rate": 1e-3}, ("--learning-rate 0.00035, not 0.001",)),
+    ):
+        refused(ValueError, words, partial(run, resumed(copied, **options)))
+    refused(ValueError, ("run in", "--"), lambda: run(tiny("sac", copied, resume=True)))
     assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
 
 
@@ -195,28 +170,20 @@ def test_overwriting_deletes_the_run_and_nothing_else(copied: Path, tmp_path: Pa
     assert weights(copied / "last") != old
     assert len((copied / "validation.csv").read_text().splitlines()) == 3
     assert json.loads((copied / "config.json").read_text())["config"]["seed"] == 3
-    picture = tmp_path / "other/best/picture.png"
-    picture.parent.mkdir(parents=True)
-    picture.touch()
-    with pytest.raises(ValueError, match="not the folder of a run"):
-        run(tiny("ppo", tmp_path / "other", overwrite=True))
-    assert picture.exists()
-
-
-def flipped(data: bytes, place: int) -> bytes:
-    """The same but for one bit."""
-    return data[:place] + bytes([data[place] ^ 16]) + data[place:][1:]
+    (tmp_path / "other/best").mkdir(parents=True)
+    (tmp_path / "other/best/picture.png").touch()
+    refused(ValueError, ("not the folder of a run",), lambda: run(tiny("ppo", tmp_path / "other", overwrite=True)))
+    assert (tmp_path / "other/best/picture.png").exists()
 
 
 def test_damaged_checkpoints_and_settings(copied: Path):
     path, settings = copied / "checkpoint.pkl", copied / "config.json"
     whole, config = path.read_bytes(), settings.read_text()
     others = b"", whole[:-1000], b"not a pickle", pickle.dumps([1, 2]), sealed(pickle.dumps([1, 2]))
-    for damaged in (*others, flipped(whole, 100), flipped(whole, len(whole) - 100)):
+    flipped = [whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :] for at in (100, len(whole) - 100)]
+    for damaged in (*others, *flipped):
         path.write_bytes(damaged)
-        with pytest.raises(ValueError, match=r"checkpoint\.pkl (cannot be read|does not fit).*--out") as end:
-            run(resumed(copied))
-        assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
+        refused(ValueError, ("checkpoint.pkl", "--out"), lambda: run(resumed(copied)))
     path.write_bytes(whole)
     for text in ("", "[]", '{"identity": 3}', '{"identity": {"options": 3}}'):
         settings.write_text(text)
@@ -227,25 +194,19 @@ def test_damaged_checkpoints_and_settings(copied: Path):
     refused(ValueError, ("gains of the base",), lambda: run(resumed(copied)))
 
 
-def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change what a checkpoint holds."""
-    content = pickle.loads(path.read_bytes())
-    change(content)
-    path.write_bytes(sealed(pickle.dumps(content)))
-
-
-MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
-    "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
-    "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
-}
-
-
-@pytest.mark.parametrize("case", MISFITS)
-def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
+        (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
+        (lambda content: content["learner"].update(env=3), "TypeError: "),
+    ],
+)
+def test_checkpoints_of_another_version_are_not_given_up(change: Any, words: str, copied: Path):
     """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
-    change, words = MISFITS[case]
-    changed(copied / "checkpoint.pkl", change)
+    content = pickle.loads((copied / "checkpoint.pkl").read_bytes())
+    change(content)
+    (copied / "checkpoint.pkl").write_bytes(sealed(pickle.dumps(content)))
     noted = json.loads((copied / "config.json").read_text())
     noted["written_by"] = {"version": "9.9", "commit": "abc123"}
     (copied / "config.json").write_text(json.dumps(noted))
@@ -257,13 +218,13 @@ def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    config = tiny("ppo", tmp_path, total_steps=256, validation_every=64)
+    config = tiny("ppo", tmp_path, total_steps=192, validation_every=64)
     replace_file, saved = os.replace, []
 
     def fill_up(source: Any, target: Any) -> None:
         if Path(target).name == "checkpoint.pkl":
             saved.append(target)
-            if len(saved) == 4:
+            if len(saved) == 3:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replace_file(source, target)
 
@@ -272,63 +233,54 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
         run(config)
     monkeypatch.undo()
     assert [path.name for path in tmp_path.glob(".*")] == [".lock"]
-    assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192, 256]
+    assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192]
 
 
 # Several seeds side by side
 
 
 @pytest.mark.slow
-def test_several_seeds_give_the_runs_that_they_give_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    """Also beside one that fails."""
+def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(whole_of: Any, tmp_path: Path):
     many = tmp_path / "many"
     many.mkdir()
-    (many / "seed5").write_text("a file")
-    monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
-    with pytest.raises(SystemExit) as end:
-        main(PpoConfig, None)
-    reported = capsys.readouterr().err.splitlines()
-    assert end.value.code == 2 and len(reported) == 2
-    assert "seed5: cannot write to" in reported[0] and "1 other runs" in reported[1]
-    run(tiny("ppo", tmp_path / "alone", seed=4))
-    assert weights(many / "seed4/last") == weights(tmp_path / "alone/last")
+    (many / "seed1").write_text("a file")
+    code, errors = stopped(lambda: main(PpoConfig, None), ("--out", "many", "--seeds", "2", *TINY), tmp_path)
+    reported = errors.splitlines()
+    assert code == 2 and len(reported) == 2
+    assert "seed1: cannot write to" in reported[0] and "1 other runs" in reported[1]
+    assert weights(many / "seed0/last") == weights(whole_of("ppo").config.out / "last")
     with Workplace(tiny("ppo", many), many) as local:
-        with pytest.raises(ValueError, match="seed4 already holds a run"):
-            runs_of(tiny("ppo", many, seed=4, seeds=2), local)
-        (many / "seed5").unlink()
-        going_on = runs_of(tiny("ppo", many, seed=4, seeds=2, resume=True), local)
+        refused(ValueError, ("seed0 already holds a run",), lambda: runs_of(tiny("ppo", many, seeds=2), local))
+        (many / "seed1").unlink()
+        going_on = runs_of(tiny("ppo", many, seeds=2, resume=True), local)
     assert [each.resume for each in going_on.values()] == [True, False], "one that was waiting begins"
 
 
-def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """With the very options that it was begun with, which are not those of resuming."""
+def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, tmp_path: Path):
+    """With the very options that it was begun with, which are not those of resuming; what is half written goes."""
     config = tiny("ppo", tmp_path / "run", total_steps=128)
-    with pytest.raises(Interrupted):
-        run(config, StopAt(64, monkeypatch))
-    monkeypatch.undo()
+    refused(Interrupted, ("at 64 steps",), lambda: run(config, StopAfter(1)))
+    for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
+        (config.out / half).write_bytes(b"\x80\x05half")
+        os.utime(config.out / half, (0, 0))  # as if an hour had passed
     end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
-    assert end.steps == 128
-    assert weights(tmp_path / "run/last") == weights(finished / "last")
+    assert end.steps == 128 and [path.name for path in config.out.rglob(".*")] == [".lock"]
+    assert weights(tmp_path / "run/last") == weights(finished[0] / "last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 
 
 # Progress
 
 
-@pytest.mark.parametrize(("base", "rings"), [("paper", True), ("none", False)])
-def test_progress_is_reported(base: str, rings: bool, tmp_path: Path):
+def test_progress_is_reported(finished: Any, tmp_path: Path):
     """An arm without a base does not ring to be compared with."""
-    reports: list[News] = []
-    config = tiny("ppo", tmp_path, total_steps=128, validation_every=64, base=base)
-    train(config, Channel(reports.append))
-    validated = [news for news in reports if news.cost is not None]
-    assert [news.steps for news in validated] == [0, 64, 128]
-    assert all("cost" in news.scores or "of the base" in news.scores for news in validated)
-    assert all(("ringing" in news.scores) == rings for news in validated)
-    names = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
-    assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
-    assert ("validation/residual_pp_mm_over_base" in names) == rings
+    baseless: list[News] = []
+    run(tiny("ppo", tmp_path, total_steps=64, validation_every=64, base="none"), report=baseless.append)
+    for (folder, reports), steps, rings in ((finished, [0, 128], True), ((tmp_path, baseless), [0, 64], False)):
+        validated = [news for news in reports if news.cost is not None]
+        assert [news.steps for news in validated] == steps
+        assert all("cost" in news.scores or "of the base" in news.scores for news in validated)
+        assert all(("ringing" in news.scores) == rings for news in validated)
+        names = (folder / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+        assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
+        assert ("validation/residual_pp_mm_over_base" in names) == rings

@@ -1,10 +1,7 @@
 """Every classical controller by name: one arm as in any batch, separate episodes, memory in `state`, data sheets."""
 
 import math
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from functools import cache, partial
@@ -13,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from episodes import assert_same_in_batches, next_move
+from commands import python
+from episodes import assert_same_in_batches, next_move, torques
+from refusals import refused
 
 import baselines
 from baselines import CONTROLLERS, TUNABLE, PaperController
@@ -34,35 +33,26 @@ CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     **{f"{name}, accelerometer": (make, FELT_ARMS) for name, make in WITH_ACCELEROMETER.items()},
     "adaptive, late coarse encoder": (CONTROLLERS["adaptive"], {**BATCH, "delay": 2, "encoder_counts": 1000}),
 }
-"""Controllers, and the arms that they are tried on."""
 STEPS = 160
-KERNELS = [
-    pytest.param(name, marks=pytest.mark.slow) if name == "adaptive" else name  # its law takes a minute to compile
-    for name, make in CONTROLLERS.items()
-    if hasattr(make(), "kernel")
-]
+KERNELS = [name for name, make in CONTROLLERS.items() if hasattr(make(), "kernel") and name != "adaptive"]
 MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
 
 
 def test_public_names_are_imported_on_first_use():
-    """Commands import the package before they can say that a package is not installed."""
     code = (
         "import sys, baselines.tools.command\n"
         "print([name for name in ('control', 'matplotlib', 'baselines.registry') if name in sys.modules])\n"
         "from baselines import *\nprint(sorted(CONTROLLERS)[0], sorted(set(baselines.__all__) - set(globals())))\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (result.stdout, result.stderr) == ("[]\nadaptive []\n", "")
-    with pytest.raises(AttributeError, match=r"'baselines'.*'Paper'"):
-        _ = baselines.Paper
+    assert python("-c", code, cwd=ROOT) == "[]\nadaptive []\n"
+    refused(AttributeError, ("'baselines'", "'Paper'"), lambda: baselines.Paper)
 
 
 def observations(seed: int) -> np.ndarray:
     """Observations of a few arms with an accelerometer under random torques, shape (120, 4, size)."""
     env = BeltArmVectorEnv(4, randomization="ideal", sensors="accelerometer")
-    seen = [env.reset(seed=seed)[0]]
-    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (12, 4, 1)).repeat(10, axis=0)[:119]
-    return np.stack(seen + [env.step(torque)[0] for torque in torques])
+    first, pushes = env.reset(seed=seed)[0], 0.4 * torques(119, hold=10)
+    return np.stack([first, *(env.step(np.full((4, 1), push))[0] for push in pushes)])
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -89,10 +79,8 @@ def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_
 
 @pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])
 def test_observations_of_another_shape_are_refused(make: Any):
-    size = observation.size(make().sensors)
-    for shape in ((size,), (3, observation.size() - 1)):
-        with pytest.raises(ValueError, match="observations must have shape"):
-            make().predict(np.zeros(shape, np.float32))
+    for shape in ((observation.size(make().sensors),), (3, observation.size() - 1)):
+        refused(ValueError, ("observations", str(shape)), partial(make().predict, np.zeros(shape, np.float32)))
 
 
 def spoilt(memory: Any) -> Any:
@@ -122,35 +110,32 @@ def assert_law_of_one_arm(controller: Any, torque: Callable[..., float], memory:
             begins = np.zeros(3, np.bool_)
 
 
-class TestKernel:
-    """The law as a kernel for one arm, bit for bit, whatever was in its memory before."""
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_kernel_is_the_law_of_one_arm(name: str):
+    controller = CONTROLLERS[name]()
+    law, design, memory = controller.kernel()
+    assert_law_of_one_arm(controller, partial(law, design), memory)
 
-    @pytest.mark.parametrize("name", KERNELS)
-    def test_is_the_law_of_one_arm(self, name: str):
-        controller = CONTROLLERS[name]()
-        law, design, memory = controller.kernel()
-        assert_law_of_one_arm(controller, partial(law, design), memory)
 
-    @pytest.mark.slow
-    def test_of_adaptive_may_renew_its_plan_after_the_torque(self):
-        controller = CONTROLLERS["adaptive"]()
-        _, design, memory = controller.kernel()
-        last: list[Any] = []
+@pytest.mark.slow  # it takes a minute to compile; as a program it is looked at in `tests/eval/exports/test_program.py`
+def test_the_kernel_of_adaptive_may_renew_its_plan_after_the_torque():
+    controller = CONTROLLERS["adaptive"]()
+    _, design, memory = controller.kernel()
+    last: list[Any] = []
 
-        def apart(now: Any, begins: bool, memory: Any) -> float:
-            if not begins and last:
-                renewed(design, last[-1], memory)
-            begun(design, now, begins, memory)
-            last.append(now)
-            return torque(design, now, memory)
+    def apart(now: Any, begins: bool, memory: Any) -> float:
+        if not begins and last:
+            renewed(design, last[-1], memory)
+        begun(design, now, begins, memory)
+        last.append(now)
+        return torque(design, now, memory)
 
-        assert_law_of_one_arm(controller, apart, memory)
+    assert_law_of_one_arm(controller, apart, memory)
 
 
 @cache
 def measured(name: str, arms: Any) -> dict[str, Any]:
-    """Metrics of a controller on 32 arms."""
-    return rollout(CONTROLLERS[name](), 32, seed=SEED, randomization=arms).metrics()
+    return rollout(CONTROLLERS[name](), 32 if arms == "train" else 8, seed=SEED, randomization=arms).metrics()
 
 
 class TestDriving:
@@ -168,11 +153,10 @@ class TestDriving:
     def test_does_better_than_the_paper(self, name: str):
         """On the nominal arm, or, by what its margins leave of its gain, on the arms that it is for."""
         arms = "train" if name in ("retuned", "disturbance") else "off"
-        paper, tuned = (measured(kind, arms) for kind in ("paper", name))
-        if name == "smooth":  # which does not even try to follow the task's profile closely
-            assert np.median(tuned["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
-        else:
-            assert np.median(tuned["cost"]) < 0.9 * np.median(paper["cost"])
+        # A smooth move does not even try to follow the task's profile closely.
+        metric, share = ("residual_pp_mm", 0.4) if name == "smooth" else ("cost", 0.9)
+        paper, tuned = (np.median(measured(kind, arms)[metric]) for kind in ("paper", name))
+        assert tuned < share * paper
 
     def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
         """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
@@ -180,7 +164,6 @@ class TestDriving:
 
 
 GEARED = {"gear_ratio": 100.0, "torque_limit": 0.2}
-"""Constants of another data sheet."""
 EASY = {"start": 0.3, "goal": 0.9, "duration": 1.0, "ramp_time": 0.3}
 
 
@@ -201,10 +184,9 @@ class TestDataSheet:
 
     @pytest.mark.parametrize(("field", "value"), GEARED.items())
     def test_other_arms_are_refused(self, field: str, value: float):
-        message = rf"arm 1 has {field} {value}, but PaperController is made for {getattr(ArmParams(), field)} .*"
-        options = {"params": {field: [getattr(ArmParams(), field), value]}}
-        with pytest.raises(ValueError, match=message + rf"params=ArmParams\({field}={value}\)"):
-            rollout(PaperController(), 2, seed=0, options=options)
+        own = getattr(ArmParams(), field)
+        options, words = {"params": {field: [own, value]}}, (f"arm 1 has {field} {value}", "PaperController", str(own))
+        refused(ValueError, words, lambda: rollout(PaperController(), 2, seed=0, options=options))
 
 
 class TestGains:
@@ -214,11 +196,8 @@ class TestGains:
         for gain in fields(kind):
             assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
             for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
-                with pytest.raises(ValueError, match=rf"{kind.__name__}\.{gain.name} must lie within .* got"):
-                    kind(**{gain.name: value})
-            words: dict[str, Any] = {gain.name: "1"}
-            with pytest.raises(TypeError, match=gain.name):
-                kind(**words)
+                refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
+            refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
 
     def test_are_the_same_with_an_accelerometer(self):
         assert set(WITH_ACCELEROMETER) <= set(CONTROLLERS)
@@ -238,12 +217,8 @@ for name in CONTROLLERS:
 
 @pytest.mark.slow
 def test_only_designs_that_are_said_to_depend_on_the_kernels_of_linear_algebra():
-    """By kernels of this processor, and by those that all of its kind can run."""
     page = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
     (named,) = re.findall(r"The designs of ([^.]*) do not", page)
-    command = [sys.executable, "-c", COSTS, *re.findall(r"`(\w+)`", named)]
-    known, actual = {**os.environ, "PYTHONPATH": str(ROOT)}, set[str]()
-    for kernels in ({}, {"OPENBLAS_CORETYPE": "Nehalem"}):
-        done = subprocess.run(command, env={**known, **kernels}, capture_output=True, text=True, check=True)
-        actual.add(done.stdout)
-    assert len(actual) == 1 and "adaptive" in actual.pop()
+    words = "-c", COSTS, *re.findall(r"`(\w+)`", named)
+    usual, older = python(*words, path=(ROOT,)), python(*words, path=(ROOT,), OPENBLAS_CORETYPE="Nehalem")
+    assert usual == older and "adaptive" in usual

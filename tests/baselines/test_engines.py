@@ -6,8 +6,8 @@ import socket
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +37,11 @@ class TestInProcesses(InWorkers):
         return Place(Engine(), 2)
 
 
-class TestSignals:
-    SCRIPT = """
+SCRIPT = f"""
 import sys
-sys.path[:0] = [{root!r}, {helpers!r}]
+sys.path[:0] = {[str(ROOT), str(ROOT / "tests" / "helpers")]}
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from baselines.engines.parallel import StopRequest, run_side_by_side, stop_on_signals
 from side_by_side import last
@@ -52,56 +52,48 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
         print(name, outcome.message, flush=True)
 """
 
-    @pytest.fixture
-    def process(self, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-        """A process with two tasks under way."""
-        for name in "ab":
-            (tmp_path / name).mkdir()
-        code = self.SCRIPT.format(root=str(ROOT), helpers=str(ROOT / "tests" / "helpers"))
-        piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        started = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, start_new_session=True, **piped)
-        for name in "ab":
-            until((tmp_path / name / "began").exists)
-        yield started
-        started.kill()
-        started.communicate()
 
-    def test_a_signal_to_the_whole_group_is_a_request_to_stop(self, process: subprocess.Popen[str]):
-        """As Ctrl-C in a terminal is: the workers get it, too, and leave it to the one that began them."""
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_signal_to_the_whole_group_is_a_request_to_stop_and_so_is_the_death_of_who_waits(
+    killed: bool, tmp_path: Path
+):
+    """As Ctrl-C in a terminal is: the workers get it, too, and leave it to the one that began them."""
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, "-c", SCRIPT], cwd=tmp_path, start_new_session=True, **piped)
+    for name in "ab":
+        until((tmp_path / name / "began").exists)
+    if killed:
+        process.kill()
+    else:
         os.killpg(process.pid, signal.SIGINT)
-        output, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=60)
+    for name in "ab":
+        until((tmp_path / name / "ended").exists)
+    if not killed:
         assert errors == "" and process.returncode == 0
         assert sorted(output.splitlines()) == ["a saved", "asked", "b saved"]
 
-    def test_tasks_stop_when_nobody_waits_for_them(self, process: subprocess.Popen[str], tmp_path: Path):
-        process.kill()
-        for name in "ab":
-            until((tmp_path / name / "ended").exists)
 
-    def test_a_second_signal_ends_at_once(self):
-        stop = StopRequest()
-        with stop_on_signals(stop):
-            signal.raise_signal(signal.SIGTERM)
-            assert stop.made
-            with pytest.raises(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
+def test_a_second_signal_ends_at_once():
+    stop = StopRequest()
+    with stop_on_signals(stop):
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.made
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
-class TestRefusals:
-    def test_without_ray_its_extra_is_named(self, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.setitem(sys.modules, "ray", None)
-        with pytest.raises(DependencyNotInstalled, match=r"\[ray\]"):
-            Place(Engine("ray"), 2).outcomes({"a": partial(square, 2)})
-
-    def test_an_address_that_does_not_answer(self):
-        pytest.importorskip("ray")
-        for address in ("127.0.0.1:1", "nonsense", "ray://127.0.0.1:10001"):
-            place = Place(Engine("ray", address), 2)
-            refused(OSError, (f"--address {address} ",), partial(place.outcomes, {"a": partial(square, 2)}))
-
-    def test_options_that_do_not_fit(self):
-        for name, value in {"address": "auto", "storage": "s3://bucket", "jobs": 0}.items():
-            refused(ValueError, (f"--{name}",), WithStorage(**{name: value}).check_engine)
+def test_what_cannot_be_used_is_refused(monkeypatch: pytest.MonkeyPatch):
+    tasks = {"a": partial(square, 2)}
+    for name, value in {"address": "auto", "storage": "s3://bucket", "jobs": 0}.items():
+        refused(ValueError, (f"--{name}",), WithStorage(**{name: value}).check_engine)
+    for address in ("127.0.0.1:1", "nonsense", "ray://127.0.0.1:10001") if find_spec("ray") else ():
+        place = Place(Engine("ray", address), 2)
+        refused(OSError, (f"--address {address} ",), partial(place.outcomes, tasks))
+    monkeypatch.setitem(sys.modules, "ray", None)
+    refused(DependencyNotInstalled, ("[ray]",), lambda: Place(Engine("ray"), 2).outcomes(tasks))
 
 
 class TestFolders:
@@ -125,8 +117,7 @@ class TestFolders:
 
         with Workplace(WithStorage(engine="ray", storage=str(url)), own) as place:
             task = place.task("a", own, go_on, Path("checkpoint"))
-            with pytest.raises(ValueError, match="no further"):
-                task(Channel(report))
+            refused(ValueError, ("no further",), partial(task, Channel(report)))
             assert kept == ["1", "2", "3"], "on the way, too"
             assert task(Channel()) == [3]
             place.collect("a", own)

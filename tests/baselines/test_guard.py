@@ -12,19 +12,8 @@ from refusals import refused
 
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.controller import GuardedResidualController
-from baselines.guard.controller import GuardedController, GuardedMemory, guarded, servo_for
-from baselines.guard.guard import (
-    ASKS,
-    BASE_LEVEL,
-    CHANGED,
-    GUARD_SIZE,
-    LEARNED_LEVEL,
-    LEVEL,
-    PASSIVE_LEVEL,
-    SERVO_LEVEL,
-    GuardInputs,
-    guarded_torque,
-)
+from baselines.guard import guard
+from baselines.guard.controller import guarded, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
 from baselines.servo.flat import FlatController
@@ -42,20 +31,18 @@ ARMS: dict[str, Any] = {"randomization": TRAIN_RANGES, "seed": 4_900_100}
 
 
 class Bench:
-    """The guard's kernel, sample by sample."""
-
     def __init__(self) -> None:
-        self.memory, self.command, self.begins = np.full(GUARD_SIZE, np.nan), 0.0, True
+        self.memory, self.command, self.begins = np.full(guard.GUARD_SIZE, np.nan), 0.0, True
 
     def step(
         self, base: float = 0.01, residual: float = 0.02, angle: float = 10.0, surprise: float = 0.9
     ) -> tuple[float, float]:
         """Command [N m] and level after a sample."""
-        servo = -0.01 if not self.begins and self.memory[ASKS] != 0 else math.nan
-        now = GuardInputs(base, residual, servo, angle, surprise, self.command)
-        self.command = guarded_torque(DESIGN, now, self.begins, self.memory)
+        servo = -0.01 if not self.begins and self.memory[guard.ASKS] != 0 else math.nan
+        now = guard.GuardInputs(base, residual, servo, angle, surprise, self.command)
+        self.command = guard.guarded_torque(DESIGN, now, self.begins, self.memory)
         self.begins = False
-        return self.command, float(self.memory[LEVEL])
+        return self.command, float(self.memory[guard.LEVEL])
 
     def steps(self, count: int, **given: float) -> tuple[float, float]:
         return [self.step(**given) for _ in range(count)][-1]
@@ -65,9 +52,9 @@ class TestKernel:
     @examples(60)
     @given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, ANY), min_size=1, max_size=40))
     def test_command_is_a_number_within_its_limits_whatever_comes_in(self, rows: list[tuple[float, ...]]):
-        memory, last = np.full(GUARD_SIZE, np.nan), 0.0
+        memory, last = np.full(guard.GUARD_SIZE, np.nan), 0.0
         for k, row in enumerate(rows):
-            command = guarded_torque(DESIGN, GuardInputs(*row), k == 0, memory)
+            command = guard.guarded_torque(DESIGN, guard.GuardInputs(*row), k == 0, memory)
             assert abs(command) <= LIMIT
             last = row[5] if k > 0 and abs(row[5]) <= LIMIT else 0.0
             if k == 0 or abs(row[5]) <= LIMIT:
@@ -77,11 +64,11 @@ class TestKernel:
         bench = Bench()
         for _ in range(500):
             command, level = bench.step()
-            assert command == 0.01 + 0.02 and level == LEARNED_LEVEL and bench.memory[CHANGED] == 0
+            assert command == 0.01 + 0.02 and level == guard.LEARNED_LEVEL and bench.memory[guard.CHANGED] == 0
         bench = Bench()
         bench.step(base=-0.3, residual=0.0)
         assert bench.step(base=0.3, residual=0.0)[0] == pytest.approx(-0.3 + DESIGN.slew)
-        assert bench.memory[CHANGED] == 1
+        assert bench.memory[guard.CHANGED] == 1
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.2])
     def test_residual_that_is_no_good_fades_out_and_returns(self, bad: float):
@@ -89,11 +76,11 @@ class TestKernel:
         bench.steps(10)
         fade = round(0.05 / CONTROL_PERIOD)
         first, level = bench.step(residual=bad)
-        assert level == BASE_LEVEL and 0.028 < first < 0.03, "what was good last is faded out, without a jump"
+        assert level == guard.BASE_LEVEL and 0.028 < first < 0.03, "what was good last is faded out, without a jump"
         command, _ = bench.steps(fade, residual=bad)
         assert command == pytest.approx(0.01)
-        assert bench.steps(WAIT - 1)[1] == BASE_LEVEL
-        assert bench.step()[1] == LEARNED_LEVEL
+        assert bench.steps(WAIT - 1)[1] == guard.BASE_LEVEL
+        assert bench.step()[1] == guard.LEARNED_LEVEL
         assert bench.steps(fade)[0] == pytest.approx(0.03)
 
     def test_every_further_fall_waits_longer(self):
@@ -101,51 +88,49 @@ class TestKernel:
         bench.steps(2)
         for times in (1, 2, 4, 8, 8):
             bench.step(residual=math.nan)
-            assert bench.steps(times * WAIT - 1)[1] == BASE_LEVEL
-            assert bench.step()[1] == LEARNED_LEVEL
+            assert bench.steps(times * WAIT - 1)[1] == guard.BASE_LEVEL
+            assert bench.step()[1] == guard.LEARNED_LEVEL
 
     def test_residual_at_its_limit_for_long(self):
-        bench = Bench()
-        limited = {"base": -0.14, "residual": 0.15}
-        assert bench.steps(DESIGN.longest_saturation, **limited)[1] == LEARNED_LEVEL
-        assert bench.step(**limited)[1] == BASE_LEVEL
+        bench, limited = Bench(), {"base": -0.14, "residual": 0.15}
+        assert bench.steps(DESIGN.longest_saturation, **limited)[1] == guard.LEARNED_LEVEL
+        assert bench.step(**limited)[1] == guard.BASE_LEVEL
 
     @pytest.mark.parametrize("surprise", [7.0, 1.0, math.nan])
     def test_observer_that_knows_no_such_arm(self, surprise: float):
         bench = Bench()
         bench.steps(10)
-        assert bench.step(surprise=surprise)[1] == SERVO_LEVEL
+        assert bench.step(surprise=surprise)[1] == guard.SERVO_LEVEL
         assert bench.steps(50, surprise=4.0)[0] == pytest.approx(-0.01), "the servo has it"
-        assert bench.steps(2 * WAIT, surprise=4.0)[1] == SERVO_LEVEL, "too surprised still"
-        assert bench.steps(WAIT, surprise=2.0)[1] == LEARNED_LEVEL
+        assert bench.steps(2 * WAIT, surprise=4.0)[1] == guard.SERVO_LEVEL, "too surprised still"
+        assert bench.steps(WAIT, surprise=2.0)[1] == guard.LEARNED_LEVEL
 
     def test_base_that_is_no_number(self):
         bench = Bench()
         bench.steps(10)
-        assert bench.step(base=math.nan) == (0.03, SERVO_LEVEL), "the last command is held"
+        assert bench.step(base=math.nan) == (0.03, guard.SERVO_LEVEL), "the last command is held"
         assert bench.step(base=math.nan)[0] == -0.01, "the servo's at once"
 
     def test_lost_sample_holds_the_command(self):
-        bench = Bench()
-        angle = 10.0
+        bench, angle = Bench(), 10.0
         for k in range(200):
             angle += min(0.001 * k, 0.1)
             bench.step(angle=angle)
-        assert bench.memory[LEVEL] == LEARNED_LEVEL
+        assert bench.memory[guard.LEVEL] == guard.LEARNED_LEVEL
         before, _ = bench.step(angle=angle + 0.1)
-        assert bench.step(base=-0.2, angle=angle + 0.1) == (before, SERVO_LEVEL), "shown twice"
+        assert bench.step(base=-0.2, angle=angle + 0.1) == (before, guard.SERVO_LEVEL), "shown twice"
         assert bench.step(base=-0.2, angle=angle + 0.3)[0] == before, "its speed is no speed"
         assert bench.step(base=-0.2, angle=angle + 0.4)[0] < before
 
     @pytest.mark.parametrize("torque", [0.2, -0.2])
     def test_motor_that_rests_under_a_large_torque(self, torque: float):
         bench = Bench()
-        assert bench.steps(DESIGN.longest_rest, base=torque, residual=0.0)[1] == LEARNED_LEVEL
-        assert bench.steps(2, base=torque, residual=0.0)[1] == PASSIVE_LEVEL
+        assert bench.steps(DESIGN.longest_rest, base=torque, residual=0.0)[1] == guard.LEARNED_LEVEL
+        assert bench.steps(2, base=torque, residual=0.0)[1] == guard.PASSIVE_LEVEL
         assert bench.steps(20, base=torque, residual=0.0)[0] == 0
-        assert bench.steps(3 * WAIT, base=0.0, residual=0.0)[1] == PASSIVE_LEVEL, "for the rest of the move"
+        assert bench.steps(3 * WAIT, base=0.0, residual=0.0)[1] == guard.PASSIVE_LEVEL, "for the rest of the move"
         bench.begins = True
-        assert bench.step()[1] == LEARNED_LEVEL
+        assert bench.step()[1] == guard.LEARNED_LEVEL
 
 
 def test_a_servo_takes_over_from_a_base_with_an_observer():
@@ -157,19 +142,6 @@ def test_settings_out_of_range_are_refused(value: Any):
     refused(ValueError, ("GuardSettings.slew", "1e+06"), lambda: GuardSettings(slew=value))
 
 
-class Watched:
-    """Controller whose memories are kept."""
-
-    def __init__(self, of: GuardedController) -> None:
-        self.params, self.of = of.params, of
-        self.memories: list[GuardedMemory] = []
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        action, memory = self.of.predict(*arguments, **named)
-        self.memories.append(memory)
-        return action, memory
-
-
 class TestInTheLoop:
     @pytest.mark.parametrize("name", ["paper", "flat"])
     def test_healthy_arms_move_as_without_it_alone_and_in_a_batch(self, name: str):
@@ -179,25 +151,27 @@ class TestInTheLoop:
         np.testing.assert_array_equal(behind.torque[:, 2], alone.torque[:, 0])
 
     @pytest.mark.parametrize("fault", ["stuck encoder", "sign error"])
-    def test_passive_where_the_encoder_lies(self, fault: str):
-        arms = FaultyArms(4, fault, randomization=TRAIN_RANGES)
-        watched = Watched(guarded("flat"))
-        run = record(watched, arms, seed=ARMS["seed"])
-        levels = np.array([memory.level for memory in watched.memories])
+    def test_passive_where_the_encoder_lies(self, fault: str, monkeypatch: pytest.MonkeyPatch):
+        arms, controller, seen = FaultyArms(4, fault, randomization=TRAIN_RANGES), guarded("flat"), list[Any]()
+        predict = controller.predict
+
+        def watched(*arguments: Any, **named: Any) -> Any:
+            action, memory = predict(*arguments, **named)
+            seen.append(memory.level)
+            return action, memory
+
+        monkeypatch.setattr(controller, "predict", watched)
+        run = record(controller, arms, seed=ARMS["seed"])
+        levels = np.array(seen)
         assert run.finished.all()
         for arm, onset in enumerate(arms.onset):
-            assert (levels[:onset, arm] == LEARNED_LEVEL).all()
-            assert (levels[onset + 40 :, arm] == PASSIVE_LEVEL).all()
+            assert (levels[:onset, arm] == guard.LEARNED_LEVEL).all()
+            assert (levels[onset + 40 :, arm] == guard.PASSIVE_LEVEL).all()
             assert (run.torque[onset + 50 :, arm] == 0).all()
 
     def test_learned_policy_that_is_no_number_is_its_base(self):
         policy = load_controller(POLICIES / "ppo" / "seed0")
-
-        class Broken:
-            def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
-                return np.full((len(observation), 1), np.nan, np.float32), None
-
-        policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
+        policy.policy.predict = lambda seen, *_, **__: (np.full((len(seen), 1), np.nan, np.float32), None)  # type: ignore
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
         run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
         base = rollout(policy.informed.base, 2, **ARMS)

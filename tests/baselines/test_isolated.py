@@ -19,10 +19,6 @@ from baselines.engines.parallel import BrokenOff
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def exit_with(status: int) -> None:
-    os._exit(status)
-
-
 def hang(file: Path) -> None:
     file.write_text(str(os.getpid()))
     time.sleep(600)
@@ -36,13 +32,12 @@ def fork_and_exit() -> None:
 
 
 def count(numbers: list[int] = []) -> int:  # noqa: B006
-    """Return how often it was called in its process."""
     numbers.append(0)
     return len(numbers)
 
 
 ENDS = {
-    "exit status 0": partial(exit_with, 0),
+    "exit status 0": partial(os._exit, 0),
     "signal 9": partial(signal.raise_signal, signal.SIGKILL),
     "ended with exit status 0": fork_and_exit,
 }

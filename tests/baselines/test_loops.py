@@ -31,23 +31,20 @@ Floats = NDArray[np.float64]
 
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 DRIVEN = replace(design_model(), coulomb_friction=0.0)
-DESIGN = CORNERS["design model"]
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
 TOLERANCE = {"adaptive": 0.1}
 """Its filter takes derivatives by differences over steps at which the arm is not quite linear, and some of a torque for
 what else it identifies."""
-each_controller = pytest.mark.parametrize("name", CONTROLLERS)
 
 
 def as_control(system: System) -> control.StateSpace:
-    """The same system for python-control."""
     return control.StateSpace(system.a, system.b[:, None], system.c[None], system.d, CONTROL_PERIOD)
 
 
 @cache
-def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
+def frictionless(name: str, params: ArmParams) -> Any:
     """A controller with its gains that believes in an arm without Coulomb friction, and in a motor without ripple."""
     if name in ("paper", "rigid"):
         return {"paper": PaperController, "rigid": rigid_controller}[name](params)
@@ -93,9 +90,18 @@ def at_work(name: str, controller: Any, k: int, pulse: float) -> Floats:
     return np.array(angles[begin + 1 :])
 
 
-def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS) -> None:
-    """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
-    controller, pulse = frictionless(name, params), 1e-6
+@pytest.mark.parametrize(
+    ("name", "latency", "k"),
+    [
+        *((name, None, k) for name in CONTROLLERS for k in (0, 45)),
+        *((name, *of) for name in ("ei", "lqg", "preview", "mpc") for of in ((0.75, 0), (1.6, 30))),
+    ],
+)
+def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str, latency: float | None, k: int):
+    """Its own `predict`, in closed loop with the environment's arm, ideal and behind a drive."""
+    driven = replace(DRIVEN, command_latency=(latency or 0.0) * CONTROL_PERIOD)
+    params, pulse = FRICTIONLESS if latency is None else driven, 1e-6
+    controller = frictionless(name, params)
     motion = at_work(name, controller, k, pulse) - at_work(name, controller, k, 0.0)
     law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
     closed: Any = control.feedback(arm, cast("Any", law), sign=1)
@@ -104,40 +110,18 @@ def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS) -> None:
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
 
 
-class TestAgainstTheController:
-    """The controller's own `predict`, in closed loop with the environment's arm, does what its linear loop does."""
-
-    @pytest.mark.parametrize("k", [0, 45])
-    @each_controller
-    def test_response_to_a_pulse_of_torque(self, name: str, k: int):
-        check_pulse(name, k)
-
-    @pytest.mark.parametrize(("latency", "k"), [(0.75, 0), (1.6, 30)])
-    @pytest.mark.parametrize("name", ["ei", "lqg", "preview", "mpc"])
-    def test_response_behind_a_drive(self, name: str, latency: float, k: int):
-        check_pulse(name, k, replace(DRIVEN, command_latency=latency * CONTROL_PERIOD))
-
-
 @cache
 def untuned(name: str) -> Any:
-    """A controller with the gains that its tuning begins with."""
     kind = TUNABLE[name]
     return kind.controller(kind.gains())
 
 
 @cache
 def usual(name: str) -> Any:
-    """A controller as it comes."""
     return CONTROLLERS[name]()
 
 
-def bears(controller: Any, k: int, params: ArmParams, samples: float) -> bool:
-    """Whether the loop at `ANGLES[k]` is stable with that much more latency."""
-    law = law_system(law_of(controller, k))
-    return is_stable(Loop(law, late_arm(params, float(ANGLES[k]), samples)))
-
-
-@each_controller
+@pytest.mark.parametrize("name", CONTROLLERS)
 class TestMargins:
     def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
         for k in range(len(ANGLES)):
@@ -164,59 +148,42 @@ class TestMargins:
         loop = loop_at(usual(name), k)
         actual = margins(loop)
         (up,), (down,) = actual.gain_up, actual.gain_down
-        assert actual.stable
         inside = np.geomspace(max(down * 1.001, 1e-3), min(up * 0.999, 1e3), 12)
-        assert all(is_stable(loop, float(gain)) for gain in inside)
+        assert actual.stable and all(is_stable(loop, float(gain)) for gain in inside)
         assert up > 1e3 or not is_stable(loop, up * 1.001)
         assert down < 1e-3 or not is_stable(loop, down * 0.999)
 
 
-class TestKnownLoops:
-    """Margins of loops for which they are known in closed form."""
-
-    @staticmethod
+def test_margins_that_are_known_in_closed_form():
     def first_order(pole: float, gain: float) -> Margins:
         """Of L = gain / (z - pole)."""
         return margins_from_poles(np.array([[complex(pole)]]), np.array([[complex(pole - gain)]]))
 
-    def test_an_integrator(self):
-        # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
-        gain = 0.4
-        w = 2 * math.asin(gain / 2)
-        actual = self.first_order(1.0, gain)
-        assert actual.gain_up == pytest.approx(2 / gain, rel=1e-9)
-        assert actual.gain_down == 0
-        assert actual.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
-        assert actual.delay == pytest.approx((math.pi / 2 - w / 2) / w, rel=1e-9)
-
-    def test_a_loop_that_is_unstable_by_itself(self):
-        # z - 1.2 + g: stable for 0.2 < g < 2.2.
-        actual = self.first_order(1.2, 0.5)
-        assert actual.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
-        assert actual.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
-        # |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
-        assert actual.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
-
-    def test_an_unstable_loop_is_called_so(self):
-        assert not self.first_order(1.0, 2.1).stable
+    # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
+    w, integrator = 2 * math.asin(0.4 / 2), first_order(1.0, 0.4)
+    assert integrator.gain_up == pytest.approx(2 / 0.4, rel=1e-9) and integrator.gain_down == 0
+    assert integrator.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
+    assert integrator.delay == pytest.approx((math.pi / 2 - w / 2) / w, rel=1e-9)
+    # z - 1.2 + g: stable for 0.2 < g < 2.2; |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
+    unstable_alone = first_order(1.2, 0.5)
+    assert unstable_alone.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
+    assert unstable_alone.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
+    assert unstable_alone.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
+    assert not first_order(1.0, 2.1).stable
 
 
-class TestAgainstLatency:
-    """Poles of the loop with more latency, exactly sampled, against the delay margin, for any part of a sample."""
-
-    @pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
-    @pytest.mark.parametrize("name", TUNABLE)
-    def test_a_loop_bears_its_delay_margin_and_no_more(self, name: str, arm: str, k: int):
-        controller = untuned(name)
-        actual = margins(loop_at(controller, k, CORNERS[arm]))
-        assert actual.stable
-        for share in (0.0, 0.3, 0.6, 0.95):
-            assert bears(controller, k, CORNERS[arm], share * actual.delay[0])
-        assert not bears(controller, k, CORNERS[arm], 1.05 * actual.delay[0])
+@pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
+@pytest.mark.parametrize("name", TUNABLE)
+def test_a_loop_bears_its_delay_margin_and_no_more(name: str, arm: str, k: int):
+    """By poles of the loop with more latency, exactly sampled, for any part of a sample."""
+    actual, law = margins(loop_at(untuned(name), k, CORNERS[arm])), law_system(law_of(untuned(name), k))
+    assert actual.stable
+    for share in (0.0, 0.3, 0.6, 0.95, 1.05):
+        late = late_arm(CORNERS[arm], float(ANGLES[k]), share * actual.delay[0])
+        assert is_stable(Loop(law, late)) == (share < 1)
 
 
 def test_many_loops_at_once_have_the_margins_of_each():
-    """Also where their orders differ."""
     loops = [loop_at(untuned(name), k, CORNERS[arm]) for name in ("ei", "lqg") for k in (0, 45) for arm in CORNERS]
     alone = np.hstack([np.array(margins(loop), float) for loop in loops])
     np.testing.assert_allclose(np.array(margins(*loops), float), alone, rtol=1e-6)
@@ -230,17 +197,14 @@ class TestCorners:
                 assert all(getattr(arm, field) in TRAIN_RANGES[field] for field in LOOP_FIELDS)
 
     def test_no_other_constant_of_the_ranges_touches_the_loop(self):
-        reference = sampled_state_space(DESIGN, 0.7)
         for field in set(TRAIN_RANGES) - set(LOOP_FIELDS):
-            other = sampled_state_space(replace(DESIGN, **{field: TRAIN_RANGES[field][1]}), 0.7)
-            for mine, theirs in zip(reference, other, strict=True):
-                np.testing.assert_array_equal(mine, theirs)
+            other = replace(design_model(), **{field: TRAIN_RANGES[field][1]})
+            assert all(map(np.array_equal, *(sampled_state_space(arm, 0.7) for arm in (design_model(), other)))), field
 
     @pytest.mark.slow
     @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
     def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
-        angles = (0, 12, 24, 36, 45)
-        chosen = itertools.product((0, 1), repeat=len(LOOP_FIELDS))
+        angles, chosen = (0, 12, 24, 36, 45), itertools.product((0, 1), repeat=len(LOOP_FIELDS))
         every = [corner(*itertools.compress(LOOP_FIELDS, high)) for high in chosen]
         laws, least = {k: law_system(law_of(untuned(name), k)) for k in angles}, []
         for arms in (CORNERS.values(), every):
@@ -267,15 +231,12 @@ class TestCondition:
         assert MarginCondition().shortfall(untuned(name)) == 0
         assert MarginCondition().shortfall(usual(name)) == 0
 
-    def test_what_is_asked_for_is_what_is_met(self):
-        least = least_margins(untuned("ei"))
-        assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(untuned("ei")) == 0
-        assert MarginCondition(modulus=least.modulus * 1.01, delay=0.1).shortfall(untuned("ei")) > 0
-        assert MarginCondition(modulus=0.1, delay=least.delay * 1.01).shortfall(untuned("ei")) > 0
-
-    def test_the_worst_place_is_named(self):
-        controller = untuned("disturbance")
+    def test_what_is_asked_for_is_what_is_met_and_the_worst_place_is_named(self):
+        controller = untuned("ei")
         least = least_margins(controller)
+        assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(controller) == 0
+        assert MarginCondition(modulus=least.modulus * 1.01, delay=0.1).shortfall(controller) > 0
+        assert MarginCondition(modulus=0.1, delay=least.delay * 1.01).shortfall(controller) > 0
         name, degrees = least.modulus_at.rsplit(", ", 1)
         k = round(int(degrees.rstrip("°")) / 2)
         assert margins(loop_at(controller, k, CORNERS[name])).modulus == pytest.approx(least.modulus, rel=1e-6)

@@ -15,7 +15,7 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from baselines.models.flatness import CORNERS, FlatPoint, flat_point, link_motion, write_corners
+from baselines.models.flatness import CORNERS, flat_point, link_motion, write_corners
 from baselines.models.friction import commanded_direction, dry_friction, friction_level, smooth_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.models.rigid_arm import rigid_torque
@@ -71,35 +71,31 @@ def test_what_does_not_fit_is_refused():
         refused(ValueError, words, call)
 
 
-class TestLinearModels:
-    def test_are_the_exponential_of_the_continuous_model(self):
-        arms = [ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)]
-        tables = linear_arms(params_table(arms))
-        for i, arm in enumerate(arms):
-            for k in (0, 17, 45):
-                a, b, _ = state_space(arm, float(ANGLES[k]))
-                held = np.zeros((6, 6))
-                held[:4, :4], held[:4, 4:5], held[3, 5] = a, b, 1.0
-                stepped = expm(CONTROL_PERIOD * held)
-                np.testing.assert_allclose(tables.transition[i, k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
-                np.testing.assert_allclose(tables.by_torque[i, k], stepped[:4, 4], rtol=1e-11)
-                np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
-
-    def test_tables_are_interpolated_and_end_where_the_arm_does(self):
-        table = linear_arm(ArmParams()).by_torque
-        between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
-        np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
+def test_linear_models_are_the_exponential_of_the_continuous_one_and_interpolated():
+    arms = [ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)]
+    tables = linear_arms(params_table(arms))
+    for i, arm in enumerate(arms):
+        for k in (0, 17, 45):
+            a, b, _ = state_space(arm, float(ANGLES[k]))
+            held = np.zeros((6, 6))
+            held[:4, :4], held[:4, 4:5], held[3, 5] = a, b, 1.0
+            stepped = expm(CONTROL_PERIOD * held)
+            np.testing.assert_allclose(tables.transition[i, k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
+            np.testing.assert_allclose(tables.by_torque[i, k], stepped[:4, 4], rtol=1e-11)
+            np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
+    table = linear_arm(ArmParams()).by_torque
+    between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
+    np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
 
 
-class TestComputedTorque:
-    @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
-    def test_makes_the_rigid_arm_accelerate_as_wanted(self, angle: float):
-        # Lagrange for T = (G^2 M_a1 + M2) theta_1'^2 / 2, with dM2/dtheta_1 by differencing.
-        speed, acceleration, h = 2.0, 7.0, 1e-5
-        m2 = [0.01 + 0.06 * math.sin(angle + step) ** 2 for step in (-h, 0, h)]
-        joint_torque = (88**2 * 6.3e-5 + m2[1]) * acceleration + 0.5 * (m2[2] - m2[0]) / (2 * h) * speed**2
-        actual = rigid_torque(Reference(angle, speed, acceleration), NOMINAL.plant())
-        np.testing.assert_allclose(88 * actual, joint_torque, rtol=1e-8)
+@pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
+def test_computed_torque_makes_the_rigid_arm_accelerate_as_wanted(angle: float):
+    # Lagrange for T = (G^2 M_a1 + M2) theta_1'^2 / 2, with dM2/dtheta_1 by differencing.
+    speed, acceleration, h = 2.0, 7.0, 1e-5
+    m2 = [0.01 + 0.06 * math.sin(angle + step) ** 2 for step in (-h, 0, h)]
+    joint_torque = (88**2 * 6.3e-5 + m2[1]) * acceleration + 0.5 * (m2[2] - m2[0]) / (2 * h) * speed**2
+    actual = rigid_torque(Reference(angle, speed, acceleration), NOMINAL.plant())
+    np.testing.assert_allclose(88 * actual, joint_torque, rtol=1e-8)
 
 
 class TestFriction:
@@ -114,30 +110,27 @@ class TestFriction:
         np.testing.assert_allclose(actual, [0, 0.5, -1, 0.5, 1, 0, -1])
 
     def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
-        speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
-        push = np.array([-9.0, 9.0, -9.0, 9.0, -0.005, 0.0])
-        speed[5] = 1e-16  # rests, but for rounding
-        wanted = [Reference(0.0, *motion) for motion in zip(speed, acceleration, strict=True)]
-        actual = [commanded_direction(*case, 0.01) for case in zip(wanted, push, strict=True)]
-        np.testing.assert_allclose(actual, [1, -1, 1, 1, -0.5, 0])
+        for speed, acceleration, push, expected in (
+            *((2.0, 0.0, -9.0, 1), (-0.1, 0.0, 9.0, -1), (0.0, 5.0, -9.0, 1), (0.0, 0.0, 9.0, 1)),
+            *((0.0, 0.0, -0.005, -0.5), (1e-16, 0.0, 0.0, 0)),  # which rests, but for rounding
+        ):
+            actual = commanded_direction(Reference(0.0, speed, acceleration), push, 0.01)
+            assert actual == pytest.approx(expected, rel=1e-7)
 
 
-MOVE = np.array([[0.2, 1.4, 0.9, 0.25]])
 UNDAMPED = ArmParams(belt_damping_ratio=0.0)
 MOVES = st.builds(
-    lambda start, length, duration, share: np.array([[start, start + length, duration, share * duration]]),
+    lambda start, length, duration, share: np.array([start, start + length, duration, share * duration]),
     st.floats(0.0, 0.6),
     st.floats(0.26, 0.97),
     st.floats(0.5, 1.2),
     st.floats(0.15, 0.35),
 )
-SPREADS = st.floats(0.02, 2.0)
 
 
 def smoothed(move: Floats, params: ArmParams, first: float, others: float) -> Floats:
-    """Corners of one smoothed move."""
     corners = np.empty(CORNERS)
-    write_corners(MoveShape(*move[0]), params.plant(), first, others, corners)
+    write_corners(MoveShape(*move), params.plant(), first, others, corners)
     return corners
 
 
@@ -146,33 +139,24 @@ def links(corners: Floats, times: Floats) -> Floats:
     return np.array([link_motion(corners, time, 1.0)[:4] for time in times])
 
 
-def at(corners: Floats, time: float, params: ArmParams) -> FlatPoint:
-    return flat_point(corners, time, params.plant())
-
-
-def knots(corners: Floats) -> Floats:
-    """Times at which the fourth derivative jumps."""
-    return np.unique(corners[1:5] + np.outer([0.0, 0.5, 1.0], corners[5:9]))
-
-
-class TestSmoothedMove:
-    @given(move=MOVES, first=SPREADS, others=SPREADS)
-    @examples(40)
-    def test_sets_out_and_arrives_as_the_task_and_meets_it_in_between(self, move: Floats, first: float, others: float):
-        corners = smoothed(move, UNDAMPED, first, others)
-        start, goal, duration, ramp = move[0]
-        onsets, spreads = corners[1:5], corners[5:9]
-        ends = onsets + spreads
-        assert onsets[0] == 0.0 and (onsets >= 0).all()
-        assert spreads[0] <= 0.5 * ramp + 1e-12
-        assert spreads.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
-        link = links(corners, np.array([0.0, ends[3], 1.8]))
-        np.testing.assert_allclose(link[:, 0], [start, goal, goal], atol=1e-12)
-        np.testing.assert_allclose(link[:, 1:4], 0.0, atol=1e-9)
-        cruising = np.linspace(max(ends[1], ramp), min(onsets[2], duration - ramp), 5)
-        if cruising[0] < cruising[-1]:
-            task = [reference_at(TRAPEZOID, MoveShape(start, goal, duration, ramp), t)[:2] for t in cruising]
-            np.testing.assert_allclose(links(corners, cruising)[:, :2], task, atol=1e-12)
+@given(MOVES, st.floats(0.02, 2.0), st.floats(0.02, 2.0))
+@examples(40)
+def test_a_smoothed_move_sets_out_and_arrives_as_the_task_and_meets_it_in_between(
+    move: Floats, first: float, others: float
+):
+    corners = smoothed(move, UNDAMPED, first, others)
+    start, goal, duration, ramp = move
+    onsets, spreads = corners[1:5], corners[5:9]
+    ends = onsets + spreads
+    assert onsets[0] == 0.0 and (onsets >= 0).all() and spreads[0] <= 0.5 * ramp + 1e-12
+    assert spreads.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
+    link = links(corners, np.array([0.0, ends[3], 1.8]))
+    np.testing.assert_allclose(link[:, 0], [start, goal, goal], atol=1e-12)
+    np.testing.assert_allclose(link[:, 1:4], 0.0, atol=1e-9)
+    cruising = np.linspace(max(ends[1], ramp), min(onsets[2], duration - ramp), 5)
+    if cruising[0] < cruising[-1]:
+        task = [reference_at(TRAPEZOID, MoveShape(*move), t)[:2] for t in cruising]
+        np.testing.assert_allclose(links(corners, cruising)[:, :2], task, atol=1e-12)
 
 
 def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
@@ -183,18 +167,18 @@ def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
 
     def rates(time: float, y: Floats) -> list[float]:
         theta, phi, theta_rate, phi_rate = y
-        torque = at(corners, time, p).torque
+        torque = flat_point(corners, time, p.plant()).torque
         belt = p.belt_stiffness * (theta - phi) + damping * (theta_rate - phi_rate)
         viscous = p.motor_viscous_friction * GEAR * theta_rate
         motor = (torque - viscous - belt / GEAR) / (p.motor_inertia * GEAR)
         m2, half_slope = p.arm_inertia + swing * math.sin(phi) ** 2, swing * math.sin(phi) * math.cos(phi)
         return [theta_rate, phi_rate, motor, (belt - half_slope * phi_rate**2) / m2]
 
-    first = at(corners, 0.0, p)
+    first = flat_point(corners, 0.0, p.plant())
     y = np.array([first[0] / GEAR, first[0] / GEAR - first[2], first[1] / GEAR, first[1] / GEAR - first[3]])
-    edges = np.append(knots(corners), 1.5)
+    knots = np.unique(corners[1:5] + np.outer([0.0, 0.5, 1.0], corners[5:9]))  # where the fourth derivative jumps
     times, states = [0.0], [y]
-    for begin, end in pairwise(edges):  # between the jumps of the torque
+    for begin, end in pairwise([*knots, 1.5]):
         if end - begin < 1e-9:
             continue
         instants = np.linspace(begin, np.nextafter(end, begin), 8)
@@ -206,13 +190,12 @@ def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
     return np.array(times), np.column_stack([GEAR * y[:, 0], GEAR * y[:, 2], y[:, 0] - y[:, 1], y[:, 2] - y[:, 3]])
 
 
-class TestFlatInverse:
-    @pytest.mark.parametrize(("move", "payload"), [(MOVE, 0.0), (np.array([[1.5, 0.1, 1.0, 0.2]]), 0.3)])
-    def test_torque_drives_the_undamped_arm_along_the_smoothed_move(self, move: Floats, payload: float):
-        params = ArmParams(belt_damping_ratio=0.0, payload_mass=payload)
-        corners = smoothed(move, params, 0.3, 0.7)
-        times, states = integrate(corners, params)
-        planned = np.array([at(corners, time, params)[:4] for time in times])
-        np.testing.assert_allclose(states, planned, atol=1e-7)
-        np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], links(corners, times)[:, 0], atol=1e-9)
-        assert np.abs(planned[:, 2]).max() > 0.01, "the belt gives way"
+@pytest.mark.parametrize(("move", "payload"), [((0.2, 1.4, 0.9, 0.25), 0.0), ((1.5, 0.1, 1.0, 0.2), 0.3)])
+def test_flat_torque_drives_the_undamped_arm_along_the_smoothed_move(move: Any, payload: float):
+    params = ArmParams(belt_damping_ratio=0.0, payload_mass=payload)
+    corners = smoothed(move, params, 0.3, 0.7)
+    times, states = integrate(corners, params)
+    planned = np.array([flat_point(corners, time, params.plant())[:4] for time in times])
+    np.testing.assert_allclose(states, planned, atol=1e-7)
+    np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], links(corners, times)[:, 0], atol=1e-9)
+    assert np.abs(planned[:, 2]).max() > 0.01, "the belt gives way"

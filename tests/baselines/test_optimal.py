@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +21,7 @@ from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.robust import (
-    RobustController,
-    RobustGains,
-    arms_around,
-    closed,
-    least_cost_gain,
-    loops_at,
-    lyapunov,
-    mean_cost,
-)
+from baselines.optimal.robust import RobustController, RobustGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -69,13 +60,12 @@ def prices(weights: Weights, angle: float, size: int = 5) -> Floats:
 class TestFeedbackGains:
     @pytest.mark.parametrize("weights", [Weights(), Weights(0.05, 100.0, 3.0)])
     def test_are_the_optimum_of_the_riccati_equation(self, weights: Weights):
-        tables = linear_arm(ArmParams())
+        tables, gains = linear_arm(ArmParams()), feedback_gains(ArmParams(), weights)
         for k in (0, 22, 45):
             a, b = with_last_torque(tables.transition[k], tables.by_torque[k])
-            gain = feedback_gains(ArmParams(), weights)[k] + [0, 0, 0, 0, 1]  # of the change
             cost = solve_discrete_are(a, b[:, None], prices(weights, float(ANGLES[k])), np.array([[weights.change]]))
-            expected = b @ cost @ a / (weights.change + b @ cost @ b)
-            np.testing.assert_allclose(gain, expected, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
+            expected = b @ cost @ a / (weights.change + b @ cost @ b) - [0, 0, 0, 0, 1]  # of the torque, not its change
+            np.testing.assert_allclose(gains[k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
     @pytest.mark.parametrize("speed", [0.0, 1.7])
     def test_errors_are_the_tips(self, speed: float):
@@ -105,8 +95,8 @@ class TestFeedbackGains:
         ahead = step + (late - int(late)) * (a @ step - step)
         gain = feedback_gains(params, weights)[k] + [0, 0, 0, 0, 1]
         gain = gain[:4] @ ahead[:4] + gain[4] * np.eye(len(a))[-1]
-        closed = a - np.outer(b, gain)
-        cost = solve_discrete_lyapunov(closed.T, q + weights.change * np.outer(gain, gain))
+        loop = a - np.outer(b, gain)
+        cost = solve_discrete_lyapunov(loop.T, q + weights.change * np.outer(gain, gain))
         pushed = np.zeros(len(a))
         pushed[:4] = 0.01, 1.0, 1e-3, 0.05
         assert 1 - 1e-9 < pushed @ cost @ pushed / (pushed @ to_go @ pushed) < 1.0001
@@ -161,56 +151,49 @@ def test_prediction_is_the_arm_without_friction():
     params = ArmParams(coulomb_friction=0.0)
     ahead = horizon(params, Weights(0.3, 0.0, 1.0))
     move, time = MoveShape(0.3, 1.2, 0.8, 0.2), 0.1
-    problem = empty_problem(len(ahead.lengths))
+    problem, simulation = empty_problem(len(ahead.lengths)), ArmSimulation(params)
     _set_up(problem, ahead, move, time, 0.0)
-    simulation = ArmSimulation(params)
+    deviation, torque = np.array([0.5, 3.0, 0.004, 0.05]), 0.15
+
+    def wanted() -> Floats:
+        angle, speed, _ = reference_at(TRAPEZOID, move, time)
+        return np.array([88 * angle, 88 * speed, 0.0, 0.0])
+
     for k, length in enumerate(ahead.lengths):
-        reference = reference_at(TRAPEZOID, move, time)
-        around = np.array([88 * reference.angle, 88 * reference.speed, 0.0, 0.0])
-        deviation, torque = np.array([0.5, 3.0, 0.004, 0.05]), 0.15
-        state = around + deviation
+        state = wanted() + deviation
         for _ in range(length):
             state = simulation.advance(state[None], np.array([torque]))[0]
         time += length * CONTROL_PERIOD
-        reference = reference_at(TRAPEZOID, move, time)
         predicted = problem.transition[k] @ [*deviation, torque] + problem.offset[k]
-        actual = state - [88 * reference.angle, 88 * reference.speed, 0.0, 0.0]
-        assert (np.abs(predicted[:4] - actual) < [1e-5, 1e-3, 3e-5, 3e-3]).all()  # the nonlinear arm moves 100-fold
+        # The nonlinear arm moves a hundred times as far.
+        assert (np.abs(predicted[:4] - (state - wanted())) < [1e-5, 1e-3, 3e-5, 3e-3]).all()
 
 
 DESIGN, WEIGHTS, NOISE = design_model(), Weights(1.0, 10.0, 20.0), Noise(5e-3, 0.3, 1e-3)
-WRONG = Noise(0.014, 1.7, 0.01)
-"""Noise of a filter with which LQG does not hold all arms."""
 
 
-class TestArms:
-    def test_those_around_the_design_model_are_the_corners(self):
-        arms = arms_around(DESIGN)
+class TestRobust:
+    def test_arms_around_the_design_model_are_the_corners(self):
+        arms = robust.arms_around(DESIGN)
         for name, corner in CORNERS.items():
             wanted = [getattr(corner, field) for field in LOOP_FIELDS]
             assert any(np.allclose([getattr(arm, field) for field in LOOP_FIELDS], wanted, 1e-9) for arm in arms), name
         latencies = sorted({round(arm.command_latency / CONTROL_PERIOD, 6) for arm in arms})
         assert latencies == [0.0, 0.75, 1.5, 2.5], "late ones come with a sample more, too"
 
-
-class TestLoops:
     @pytest.mark.parametrize("k", [0, 20, 45])
-    def test_they_have_the_poles_of_the_law_on_each_arm(self, k: int):
+    def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
         controller = RobustController()
-        g = controller.gains
-        loops = loops_at(DESIGN, k, g.weights(), g.noise(), 0.1)
-        matrices = closed(controller.feedback[k], loops)
-        for arm, matrix in zip(arms_around(DESIGN), matrices, strict=True):
-            expected = closed_poles(loop_at(controller, k, arm))
-            actual = np.linalg.eigvals(matrix)
-            for pole in expected[np.abs(expected) > 0.05]:
-                assert np.abs(actual - pole).min() < 1e-6
+        loops = robust.loops_at(DESIGN, k, controller.gains.weights(), controller.gains.noise(), 0.1)
+        for arm, matrix in zip(robust.arms_around(DESIGN), robust.closed(controller.feedback[k], loops), strict=True):
+            expected, actual = closed_poles(loop_at(controller, k, arm)), np.linalg.eigvals(matrix)
+            assert all(np.abs(actual - pole).min() < 1e-6 for pole in expected[np.abs(expected) > 0.05])
 
     def test_lyapunovs_equation_is_solved_as_scipy_does(self):
-        loops = loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1)
-        a = closed(feedback_gains(DESIGN, WEIGHTS)[20], loops)
-        actual = lyapunov(a, loops.noise)
-        assert actual is not None and lyapunov(np.array([[[1.001, 0.0], [0.0, 0.5]]]), np.eye(2)[None]) is None
+        loops = robust.loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1)
+        a = robust.closed(feedback_gains(DESIGN, WEIGHTS)[20], loops)
+        actual = robust.lyapunov(a, loops.noise)
+        assert actual is not None and robust.lyapunov(np.array([[[1.001, 0.0], [0.0, 0.5]]]), np.eye(2)[None]) is None
         for single, matrix, noise in zip(actual, a, loops.noise, strict=True):
             expected = solve_discrete_lyapunov(matrix, noise)
             scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal())) + 1e-30
@@ -218,42 +201,38 @@ class TestLoops:
 
     @pytest.mark.parametrize("shrunk", [1.0, 0.99])
     def test_slope_is_that_of_the_cost(self, shrunk: float):
-        loops, gain = loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
-        _, slope = mean_cost(gain, loops, shrunk)
+        loops, gain = robust.loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
+        _, slope = robust.mean_cost(gain, loops, shrunk)
         for i, step in enumerate(1e-5 * np.diag(np.abs(gain))):
-            after, before = (mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
+            after, before = (robust.mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
             assert (after - before) / (2 * step[i]) == pytest.approx(slope[i], rel=1e-3)
 
-
-class TestGain:
     @pytest.mark.parametrize("k", [0, 20, 45])
-    def test_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int):
-        loops, start = loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
-        gain = least_cost_gain(start, loops)
-        cost = mean_cost(gain, loops)[0]
-        assert cost < 0.99 * mean_cost(start, loops)[0]
+    def test_its_gain_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int):
+        loops, start = robust.loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
+        gain = robust.least_cost_gain(start, loops)
+        cost = robust.mean_cost(gain, loops)[0]
+        assert cost < 0.99 * robust.mean_cost(start, loops)[0]
         for step in 0.1 * np.diag(start):
-            assert all(mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
+            assert all(robust.mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
 
     def test_holds_every_corner_at_every_angle_where_lqg_with_the_same_weights_does_not(self):
         weights = {"velocity_weight": 1.0, "torque_weight": 10.0, "change_weight": 20.0}
-        noise = {f"{name.name}_noise": getattr(WRONG, name.name) for name in fields(WRONG)}
-        worst = {}
+        noise = {"torque_noise": 0.014, "acceleration_noise": 1.7, "disturbance_noise": 0.01}
+        worst = []
         for kind in (RobustController, LqgController):
             controller = kind(RobustGains(**weights, **noise))
             loops = [loop_at(controller, k, arm) for k in (0, 23, 45) for arm in CORNERS.values()]
-            worst[kind] = max(float(np.abs(closed_poles(loop)).max()) for loop in loops)
-        assert worst[RobustController] < 1 < worst[LqgController]
+            worst.append(max(float(np.abs(closed_poles(loop)).max()) for loop in loops))
+        assert worst[0] < 1 < worst[1]
 
-
-class TestStoredGains:
-    def test_they_are_what_the_design_finds(self, tmp_path: Path):
+    def test_stored_gains_are_what_the_design_finds(self, tmp_path: Path):
         robust.write_gains(tmp_path / "robust.json")
         anew, stored = (json.loads(path.read_text()) for path in (tmp_path / "robust.json", robust.FILE))
         assert anew["design"] == stored["design"], "call `write_gains()` of baselines.optimal.robust"
         np.testing.assert_allclose(anew["gains"], stored["gains"], rtol=1e-6)
 
-    def test_they_are_of_one_design_alone(self, monkeypatch: pytest.MonkeyPatch):
+    def test_stored_gains_are_of_one_design_alone(self, monkeypatch: pytest.MonkeyPatch):
         found = np.arange(5.0 * 10).reshape(10, 5)
         monkeypatch.setattr(robust.Design, "gains", lambda _: found)
         design = CONTROLLERS["robust"]().design

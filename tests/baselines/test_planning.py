@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import astuple
+from functools import partial
 from pathlib import Path
 
 import control
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from commands import mistake
 from numpy.typing import NDArray
+from refusals import refused
 
 from baselines import PaperController, tuned_controller
 from baselines.models.linear import at_angle, linear_arm
@@ -16,18 +18,19 @@ from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
 from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque
-from baselines.planning.replanning import STEPS, PlanCache, Situation
+from baselines.planning.replanning import PlanCache, Situation
 from baselines.planning.task_plan import _cost, improve, plan_room, plan_squares, plan_task, problem_of
 from baselines.yardsticks.clairvoyant import optimum
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
 from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, observation
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_table, plant_of
+from beltarm_env.observation import size
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import MoveShape, sampled_moves
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at, sampled_moves
 
 Floats = NDArray[np.float64]
 GEAR = 88.0
@@ -39,11 +42,8 @@ def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WE
     """Cost of the plan's own problem, by simulating its linear model along the move: independent of its recursion."""
     arm = ArmParams()
     plan = planned(MOVE[0], arm.row(), weights)
-    tables = linear_arm(arm)
-    times = CONTROL_PERIOD * np.arange(EPISODE_STEPS + 1)
-    env = BeltArmVectorEnv(1, autoreset_mode="Disabled")
-    env.reset(options={"move": dict(zip(("start", "goal", "duration", "ramp_time"), MOVE[0].tolist(), strict=True))})
-    references = np.array([np.ravel(env.reference(float(t)))[:2] for t in times])
+    tables, move = linear_arm(arm), MoveShape(*MOVE[0])
+    references = [reference_at(TRAPEZOID, move, CONTROL_PERIOD * k)[:2] for k in range(EPISODE_STEPS + 1)]
     x, cost, applied, last = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS), 0.0
     for k in range(EPISODE_STEPS):
         angle, speed = references[k]
@@ -109,26 +109,21 @@ class TestPlan:
 MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
 ARM = ArmParams(coulomb_friction=0.0)
 TABLE = np.repeat(params_table([ARM]), len(MOVES), axis=0)
+RESTS = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((3, 3))])
 TASK_WEIGHTS = Weights(0.5, 10.0, 0.0)
-ALL = np.ones(len(MOVES), np.bool_)
 
 
 def task_plans(steps: int, time: float = 0.0) -> Plans:
     """Plans after some steps of improvement, for arms that rest at their start at that time."""
-    plans, rest = [], np.array([ARM.gear_ratio, 0.0, 0.0, 0.0])
-    for move, row in zip(MOVES, TABLE, strict=True):
-        plans.append(np.empty((1200, 10)))
-        plan_task(
-            MoveShape(*move), row, plan_cost(TASK_WEIGHTS), 0, time, move[0] * rest, steps, plan_room(), plans[-1]
-        )
+    plans, cost = [np.empty((1200, 10)) for _ in MOVES], plan_cost(TASK_WEIGHTS)
+    for move, row, rest, plan in zip(MOVES, TABLE, RESTS, plans, strict=True):
+        plan_task(MoveShape(*move), row, cost, 0, time, rest, steps, plan_room(), plan)
     return plans
 
 
 def simulated_costs(plans) -> np.ndarray:
     """Costs, as the task has them, of the plans' laws on the nonlinear arm, by the environment's integrator."""
-    simulation, states = ArmSimulation([ARM] * len(MOVES)), np.zeros((len(MOVES), 4))
-    states[:, 0] = ARM.gear_ratio * MOVES[:, 0]
-    tasks = sampled_moves(MOVES)
+    simulation, states, tasks = ArmSimulation([ARM] * len(MOVES)), RESTS, sampled_moves(MOVES)
     costs, last = np.zeros(len(MOVES)), np.zeros(len(MOVES))
     for k in range(1000):
         torque = planned_torque(plans, np.full(len(MOVES), float(k)), states, last)
@@ -168,76 +163,53 @@ def test_nothing_is_left_to_improve_at_the_end():
 
 class TestReplanning:
     @staticmethod
-    def situation(step: int, logs: np.ndarray) -> Situation:
+    def situation(step: int, *logs: float) -> Situation:
         steps = np.full(3, step)
-        rest = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((3, 3))])
-        return Situation(MOVES, steps, steps + 1.4, rest, logs, TABLE)
+        return Situation(MOVES, steps, steps + 1.4, RESTS.copy(), np.reshape(logs, (3, 1)), TABLE)
 
-    @staticmethod
-    def begun(steps: int = STEPS) -> PlanCache:
-        nothing = np.zeros((3, 1))
-        return PlanCache.empty(nothing).begun(ALL, TestReplanning.situation(0, nothing), TASK_WEIGHTS, steps)
+    def begun(self, now: Situation | None = None) -> PlanCache:
+        now = now or self.situation(0, 0.0, 0.0, 0.0)
+        return PlanCache.empty(np.zeros_like(now.logs)).begun(np.ones(len(now.logs), np.bool_), now, TASK_WEIGHTS)
 
-    def test_arms_that_begin_alike_share_a_plan(self):
-        """One whose command acts later, or that begins no episode, has another."""
-        nothing, now = np.zeros((6, 1)), self.situation(0, np.zeros((3, 1)))
-        twice = Situation(*(np.concatenate([part, part]) for part in astuple(now)))
-        twice.time[4] += 0.1
-        begins = np.array([True, True, True, True, True, False])
-        plans = PlanCache.empty(nothing).begun(begins, twice, TASK_WEIGHTS).plans
-        assert plans[3] is plans[0] and plans[4] is not plans[1] and plans[5].size == 0
-        for plan, alone in zip(plans[:3], self.begun().plans, strict=True):
-            assert plan.tobytes() == alone.tobytes()
-        later = self.situation(0, np.zeros((3, 1)))
+    def test_arms_that_begin_alike_share_a_plan_that_is_the_one_of_each(self):
+        """One whose command acts later has another."""
+        now, later = (self.situation(0, 0.0, 0.0, 0.0) for _ in range(2))
         later.time[1] += 0.1
-        expected = PlanCache.empty(np.zeros((3, 1))).begun(ALL, later, TASK_WEIGHTS).plans[1]
-        assert plans[4].tobytes() == expected.tobytes() != plans[1].tobytes()
+        both = Situation(*map(np.concatenate, zip(astuple(now), astuple(later), strict=True)))
+        plans = self.begun(both).plans
+        assert plans[3] is plans[0] and plans[4].tobytes() != plans[1].tobytes()
+        for plan, alone in zip(plans, [*self.begun().plans, *self.begun(later).plans], strict=True):
+            assert plan.tobytes() == alone.tobytes()
 
-    def test_plans_are_made_anew_where_the_arm_is_another(self):
-        before = self.begun()
-        after = before.renewed(self.situation(20, np.array([[0.03], [0.01], [-0.03]])), TASK_WEIGHTS)
-        assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
+    def test_plans_are_made_anew_where_the_arm_is_another_but_not_between_times(self):
+        before, begins = self.begun(), np.array([True, False, True])
+        after = before.renewed(self.situation(20, 0.03, 0.01, -0.03), TASK_WEIGHTS)
         assert after.logs.tolist() == [[0.03], [0.0], [-0.03]]
-        kept = before.begun(np.array([True, False, True]), self.situation(0, np.ones((3, 1))), TASK_WEIGHTS)
-        assert [new is old for new, old in zip(kept.plans, before.plans, strict=True)] == [False, True, False]
+        for other in (after, before.begun(begins, self.situation(0, 1.0, 1.0, 1.0), TASK_WEIGHTS)):
+            assert [new is old for new, old in zip(other.plans, before.plans, strict=True)] == [False, True, False]
+        assert before.renewed(self.situation(19, 0.5, 0.5, 0.5), TASK_WEIGHTS) is before
 
     def test_plans_around_the_end_are_made_from_where_the_arm_is_and_improved(self):
-        """Also where nothing else is known; so they cost the task less."""
         before, end = self.begun(), int(MOVES[1, 2] / 0.0015)
         step = end - end % 20
-        now = self.situation(step, np.zeros((3, 1)))
-        goal = ARM.gear_ratio * MOVES[1, 1]
-        now.states[1] = goal + 0.3, 0.0, 0.01, 0.1
+        now = self.situation(step, 0.0, 0.0, 0.0)
+        now.states[1] = ARM.gear_ratio * MOVES[1, 1] + 0.3, 0.0, 0.01, 0.1
         squares, improved = (before.renewed(now, TASK_WEIGHTS, steps).plans[1] for steps in (0, 2))
         assert improved is not before.plans[1] and improved[step + 5, TORQUE] != squares[step + 5, TORQUE]
         np.testing.assert_array_equal(improved[step:, GAIN:TORQUE], squares[step:, GAIN:TORQUE])
-        problem, costs = problem_of(MoveShape(*MOVES[1]), TABLE[1]), list[float]()
-        for plan in (squares, improved):
-            costs.append(_cost(plan, np.zeros((1200, 6)), step + 2, 0.0, problem))
+        problem, rest = problem_of(MoveShape(*MOVES[1]), TABLE[1]), np.zeros((1200, 6))
+        costs = [_cost(plan, rest, step + 2, 0.0, problem) for plan in (squares, improved)]
         assert costs[1] < costs[0]
 
-    def test_plans_are_not_made_anew_between_times(self):
-        before = self.begun()
-        assert before.renewed(self.situation(19, np.full((3, 1), 0.5)), TASK_WEIGHTS) is before
 
-
-@pytest.fixture(scope="module")
-def stored():
-    return read_file()
-
-
-def test_replayed_torques_cost_what_is_stored(stored):
-    contents, scenarios, actions = stored
+def test_stored_torques_cost_what_is_stored_and_no_controller_costs_less():
+    contents, scenarios, actions = read_file()
     metrics = replay(scenarios, actions).metrics()
     for name in METRICS:
         np.testing.assert_allclose([row[name] for row in contents["scenarios"]], metrics[name], rtol=1e-3, atol=1e-3)
     assert FILE.stat().st_size < 200_000 and "baselines/oracle.py" in contents["command"]
     for scenario in scenarios:
         assert Scenario.parse(f"{scenario.kind}:{scenario.seed}") == scenario
-
-
-def test_no_controller_costs_less(stored):
-    contents, scenarios, _ = stored
     least = np.array([row["cost"] for row in contents["scenarios"]])
     assert [row["optimiser_cost"] for row in contents["scenarios"]] == pytest.approx(least, rel=1e-6)
     assert (least < [row["privileged_cost"] for row in contents["scenarios"]]).all()
@@ -250,10 +222,8 @@ def costs_of_beginnings(scenario: Scenario, actions: np.ndarray) -> np.ndarray:
     steps = actions.shape[1]
     whole = np.zeros((len(actions), EPISODE_STEPS), np.float32)
     whole[:, :steps] = actions
-    replayed = replay([scenario] * len(actions), whole)
-    tip, speed = (
-        np.linalg.norm(e[:steps], axis=2).sum(axis=0) for e in (replayed.tip_error, replayed.tip_velocity_error)
-    )
+    played = replay([scenario] * len(actions), whole)
+    tip, speed = (np.linalg.norm(e[:steps], axis=2).sum(axis=0) for e in (played.tip_error, played.tip_velocity_error))
     change = np.abs(np.diff(whole[:, :steps].astype(np.float64), prepend=0)).sum(axis=1)
     return tip / 0.01 + speed / 0.2 + 0.1 * change
 
@@ -264,9 +234,8 @@ def test_a_short_problem_ends_at_the_least_cost_from_anywhere():
     for share in (0.3, 1.0):
         actual = optimum(ArmParams(), move, np.full(120, share))
         assert actual.cost == pytest.approx(60.6444, rel=1e-4)
-        assert costs_of_beginnings(Scenario("nominal", 0, ArmParams(), move), actual.actions[None]) == pytest.approx(
-            actual.cost, rel=1e-9
-        )
+        replayed = costs_of_beginnings(Scenario("nominal", 0, ArmParams(), move), actual.actions[None])
+        assert replayed == pytest.approx(actual.cost, rel=1e-9)
 
 
 def test_a_drive_is_met_as_it_is_built():
@@ -290,7 +259,5 @@ def test_the_privileged_controller_costs_less_and_knows_its_own_arms_alone():
     oracle = PrivilegedController(env.params)
     cost = rollout(oracle, 12, seed=5_000_000, randomization="ideal", sensors="full").cost.mean()
     assert cost < rollout(AdaptiveController(), 12, seed=5_000_000, randomization="ideal").cost.mean()
-    with pytest.raises(ValueError, match="sensors='full'"):
-        oracle.predict(np.zeros((12, observation.size()), np.float32))
-    with pytest.raises(ValueError, match=r"12 arms.* 4"):
-        oracle.predict(np.zeros((4, observation.size("full")), np.float32))
+    for shape, words in (((12, size()), ("sensors='full'",)), ((4, size("full")), ("12 arms", "4"))):
+        refused(ValueError, words, partial(oracle.predict, np.zeros(shape, np.float32)))
