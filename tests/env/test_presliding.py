@@ -1,7 +1,6 @@
 """A motor that gives before it slips: elastic, with hysteresis, and never a source of energy."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
-from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
-from beltarm_env.arm import params_columns, params_table
+from beltarm_env import ArmParams, design_model
 from beltarm_env.physics.drive import SMALLEST_DEFLECTION
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.simulation import ArmSimulation
@@ -55,27 +53,6 @@ def test_a_deflection_too_small_to_count_is_none():
     least = replace(GIVES, presliding_deflection=0.9 * SMALLEST_DEFLECTION)
     clean = replace(GIVES, presliding_deflection=0.0)
     np.testing.assert_array_equal(moved(least, torques), moved(clean, torques))
-
-
-def test_arms_move_alone_as_among_others():
-    deflections = np.array([0.0, 3e-4, 1e-3, 5e-3, 2e-2] * 4)
-    table = np.repeat(params_table([GIVES, ArmParams()]), 10, axis=0)
-    columns: dict[str, Any] = params_columns(table) | {"presliding_deflection": deflections}
-    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (250, 20)).astype(np.float32)
-
-    def states(arms: slice) -> NDArray[np.float64]:
-        chosen = {name: values[arms] for name, values in columns.items()}
-        env = BeltArmVectorEnv(len(chosen["gear_ratio"]))
-        env.reset(seed=0, options={"params": chosen, "move": {"start": 0.7, "goal": 1.2}})
-        path = []
-        for torque in torques[:, arms]:
-            env.step(torque[:, None])
-            path.append(env.state)
-        return np.array(path)
-
-    together = states(slice(0, 20))
-    for k in range(20):
-        np.testing.assert_array_equal(states(slice(k, k + 1))[:, 0], together[:, k])
 
 
 @examples(25)

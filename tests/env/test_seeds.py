@@ -81,7 +81,6 @@ class TestStreams:
                 checked_seed(seed)
 
     def test_of_a_large_batch_begin_as_those_of_arms_alone(self):
-        """More arms than draw at once."""
         batch = BeltArmVectorEnv(5000, randomization="train")
         observations, _ = batch.reset(seed=7)
         for arm in (0, 4095, 4096, 4999):

@@ -31,7 +31,6 @@ FRICTION = [COLUMN.motor_viscous_friction, COLUMN.coulomb_friction]
 
 
 def gentle(steps: int, seed: int = 0) -> NDArray[np.float32]:
-    """Torques that move the arm a little to and fro, shape (steps, 1)."""
     return 0.25 * torques(steps, seed, hold=15)
 
 

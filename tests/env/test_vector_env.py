@@ -22,6 +22,7 @@ from baselines.reading import read
 from beltarm_env import IDEAL_RANGES, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.info import TOTALS
+from beltarm_env.task.ranges import PRESLIDING
 
 make = BeltArmVectorEnv
 EACH_MODE = pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP], ids=lambda m: m.value)
@@ -119,9 +120,10 @@ def test_arms_of_any_batch_are_environments_alone_bit_for_bit(
 
 
 def test_arms_behind_ideal_and_built_drives_in_any_place_of_a_large_batch_move_as_they_do_alone():
-    rng, arms = np.random.default_rng(0), (0, 1, 135, 136, 299)  # a block has 136 lanes
+    rng, arms = np.random.default_rng(0), (0, 1, 2, 135, 136, 298, 299)  # a block has 136 lanes
     ranges = [IDEAL_RANGES, {name: pair for name, pair in TRAIN_RANGES.items() if name != "torque_ripple_order"}]
-    params = [{name: rng.uniform(*pair) for name, pair in ranges[arm % 2].items()} for arm in range(300)]
+    ranges += [{**ranges[1], **PRESLIDING}, {"presliding_deflection": (3e-4, 2e-2)}]
+    params = [{name: rng.uniform(*pair) for name, pair in ranges[arm % 4].items()} for arm in range(300)]
     columns = {name: [arm.get(name, getattr(ArmParams(), name)) for arm in params] for name in FIELDS}
     batch, alone = BeltArmVectorEnv(300), {arm: BeltArmEnv() for arm in arms}
     batch.reset(seed=5, options={"params": columns})
@@ -225,7 +227,6 @@ class TestReset:
 
 
 def arrays(value: Any) -> Iterator[NDArray[Any]]:
-    """All arrays in what a step returned."""
     if isinstance(value, np.ndarray):
         yield value
     children = value.values() if isinstance(value, dict) else value

@@ -46,7 +46,6 @@ def leaves(argument: Any) -> Iterator[Any]:
 
 
 def kind_of(leaf: Any) -> str:
-    """Type of C of a number, or of an array's numbers."""
     return dtype_of(leaf.dtype if isinstance(leaf, np.ndarray | np.generic) else type(leaf))
 
 

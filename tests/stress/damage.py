@@ -26,7 +26,6 @@ _SIZES = (0, 1, 7, 2**16, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 -
 
 
 def exploit(folder: Path) -> bytes:
-    """Pickle that makes a file as it is loaded."""
     return pickle.dumps(Exploit(folder / EXECUTED))
 
 

@@ -48,7 +48,6 @@ def forks() -> None:
 
 
 def leaks() -> None:
-    """Take more and more memory, within a limit that spares the machine."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), resource.RLIM_INFINITY))
     leak = []

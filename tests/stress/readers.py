@@ -41,8 +41,6 @@ Damaged = tuple[dict[str, bytes], bool]
 
 
 class Reader(NamedTuple):
-    """Something that reads files, of which sound ones are in a folder."""
-
     read: damage.Read  # what the files mean
     damaged: Callable[[Random], Damaged]
 
@@ -67,7 +65,6 @@ def _of_json(
 
 
 def _policy(folder: Path) -> Reader:
-    """Reader of a small policy, whose file or description is damaged."""
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
     spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
     save_bundle(folder, spec, Actor(spec.shape()).weights())

@@ -48,15 +48,12 @@ TROUBLES = st.lists(
 
 
 class Subject(NamedTuple):
-    """A run that writes files, and can be begun again."""
-
     begin: Callable[[Path], object]
     go_on: Callable[[Path], object]  # which first checks that what is there can be read
     meaning: Callable[[Path], dict[str, Any]]  # of the finished files, without what may differ
 
 
 def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
-    """Assert that files mean what those of a run without trouble do."""
     differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
     assert not differ, f"other files than without trouble: {', '.join(differ)}"
 
@@ -156,7 +153,6 @@ def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str
 
 
 def prepare(folder: Path) -> None:
-    """Empty the folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
@@ -218,7 +214,6 @@ def be_child(run: Callable[[Path], object], folder: Path, kind: str, at: int, re
 
 
 def changes(event: str, arguments: tuple[Any, ...], folder: str) -> bool:
-    """Whether an audit event changes something in a folder."""
     if event == "open":
         if isinstance(arguments[0], int) or not arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
             return False

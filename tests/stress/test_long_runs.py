@@ -62,7 +62,6 @@ def test_arms_of_a_batch_are_arms_alone(kind: str):
 
 
 def digest() -> str:
-    """SHA-256 of all states of a few batches."""
     total = hashlib.sha256()
     for kind in TORQUES:
         env = BeltArmVectorEnv(ARMS, randomization="train", sensors="accelerometer", delay=1.3)

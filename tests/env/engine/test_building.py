@@ -35,7 +35,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The objects that are compiled."""
     paths, really = list[Path](), building._compile
     monkeypatch.setattr(building, "_compile", lambda *given: (paths.append(given[3]), really(*given)))
     return paths
