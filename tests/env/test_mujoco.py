@@ -192,8 +192,11 @@ class TestEnvironment:
             with pytest.raises(ValueError, match=rf"{name}={value:g}"):
                 load_model(ArmParams(**{name: value}))
         env = BeltArmVectorEnv(2, model="mujoco")
+        env.reset(seed=1)
+        before = env.state
         with pytest.raises(ValueError, match=r"mujoco.* torque_ripple=0\.006"):
             env.reset(seed=2, options={"params": {"torque_ripple": np.array([0.0, 0.006])}})
+        np.testing.assert_array_equal(env.state, before)
 
 
 def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch):
