@@ -93,23 +93,26 @@ class TestBeginningAndEnd:
             arm._batch.blocks[0, layout.STATE] = 200.0  # far outside
             assert env.step(STILL)[2:4] == (True, True)
 
-    @pytest.mark.parametrize("direction", [-1.0, 1.0])
-    def test_leaving_the_workspace_ends_it_and_is_charged_the_bound_for_every_remaining_step(self, direction: float):
-        env, terminated, steps = make(randomization="train"), False, 0
+    @pytest.mark.parametrize(("direction", "moves", "rest"), [(-1.0, 1, 0), (1.0, 1, 0), (1.0, 3, 1300)])
+    def test_leaving_the_workspace_ends_it_and_is_charged_for_all_steps_left(
+        self, direction: int, moves: int, rest: int
+    ):
+        env, terminated, steps, total = make(randomization="train", moves=moves), False, 0, 0.0
         env.reset(seed=3)
         while not terminated:
-            _, reward, terminated, truncated, info = env.step(np.array([direction], np.float32))
-            joint, steps = env.state[0] / env.params.gear_ratio, steps + 1
+            action = np.array([direction * (steps >= rest)], np.float32)
+            _, reward, terminated, truncated, info = env.step(action)
+            joint, steps, total = env.state[0] / env.params.gear_ratio, steps + 1, total - float(reward)
             ends = joint, joint - env.state[2]
             assert terminated == (min(ends) < -0.25 or max(ends) > np.pi / 2 + 0.25) and not truncated
-            charge = MAX_COST * (EPISODE_STEPS - steps) * terminated
+            charge = MAX_COST * (moves * EPISODE_STEPS - steps) * terminated
             assert reward == pytest.approx(-sum(info[term] for term in TERMS) - charge, rel=1e-12)
-        assert 50 < steps < EPISODE_STEPS and info["episode_steps"] == steps
+        assert rest + 50 < steps < rest + 1000 and info["episode_steps"] == steps and "move_cost" not in info
+        assert env.move_number == moves // 2 and info["total_cost"] == pytest.approx(total, rel=1e-12)
 
 
-@pytest.mark.parametrize("sensors", ["encoder", "accelerometer"])
-def test_same_seed_gives_the_same_episodes(sensors: str):
-    first, second = (make(sensors=sensors, randomization="train") for _ in range(2))
+def test_same_seed_gives_the_same_episodes():
+    first, second = (make(randomization="train") for _ in range(2))
     actions = torques(EPISODE_STEPS, hold=15)
     for seed in (5, None, 5):
         assert play(first, actions, seed=seed) == play(second, actions, seed=seed)

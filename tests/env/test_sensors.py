@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import kstest
 
+from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
+from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BANDWIDTH, NOISE, RANGE, bias_of, noise, noise_seed
 from beltarm_env.task.draws import DRAWS, FIRST_OF_SENSORS
 
@@ -166,3 +168,8 @@ class TestAccelerometerInTheEnvironment:
         assert not np.isclose(episodes[0], episodes[1]).any()
         drawn = BeltArmEnv(sensors="accelerometer", randomization="train").reset(seed=1)[0]
         assert np.array_equal(drawn[-2:], episodes[0][0])
+
+    def test_controllers_ignore_it(self):
+        tiers: Any = ("encoder", "accelerometer")
+        runs = [rollout(CONTROLLERS["paper"](), 2, seed=1, sensors=tier) for tier in tiers]
+        assert runs[0].torque.tobytes() == runs[1].torque.tobytes()

@@ -189,19 +189,6 @@ class TestTotals:
         assert info["episode_steps"].tolist() == [3600] * 6
         assert len(np.unique(info["move_still_time"])) > 2
 
-    def test_leaving_is_charged_for_every_step_that_is_left_of_the_shift(self):
-        env, total, steps, terminated = BeltArmEnv(moves=3), 0.0, 0, False
-        env.reset(seed=0)
-        while not terminated:
-            _, reward, terminated, truncated, info = env.step(STILL if steps < 1300 else np.ones(1, np.float32))
-            total, steps = total - reward, steps + 1
-        assert not truncated and 1300 < steps < 2 * EPISODE_STEPS and env.move_number == 1
-        charge = MAX_COST * (3 * EPISODE_STEPS - steps)
-        assert info["episode_steps"] == steps and "move_cost" not in info
-        own = sum(info[name] for name in ("cost_position", "cost_velocity", "cost_torque_rate"))
-        assert reward == pytest.approx(-own - charge, rel=1e-12)
-        assert info["total_cost"] == pytest.approx(total, rel=1e-12)
-
 
 class TestRecordings:
     def test_columns_are_arms_and_moves_as_they_are_when_stepped(self):
@@ -252,30 +239,6 @@ class TestRecordings:
         end = run.state[-1, 2]
         assert (run.state[:, [4, 6]] == end).all() and not run.torque[:, [4, 6]].any()
         assert np.array_equal(run.params[[4, 6]], run.params[[2, 2]])
-
-
-class TestAutoreset:
-    def test_arms_in_different_moves_go_on_by_themselves(self):
-        """Those that are reset in the middle begin with move 0, and the others do not notice."""
-        envs = BeltArmVectorEnv(3, moves=2, randomization="train", autoreset_mode="Disabled")
-        alone = BeltArmEnv(moves=2, randomization="train")
-        envs.reset(seed=0)
-        observation, _ = alone.reset(seed=2)
-        for k, action in enumerate(gentle(1700)):
-            if k in (500, 1300):
-                envs.reset(options={"reset_mask": np.array([True, k == 1300, False])})
-            seen, *_ = envs.step(np.tile(action, (3, 1)))
-            observation, *_ = alone.step(action)
-            assert np.array_equal(seen[2], observation)
-        assert envs.move_numbers.tolist() == [0, 0, 1] and alone.move_number == 1
-        assert envs._batch.steps.tolist() == [400, 400, 500]
-
-    def test_a_time_limit_counts_over_all_moves(self):
-        envs = BeltArmVectorEnv(2, moves=3, max_episode_steps=1500, autoreset_mode="SameStep")
-        assert (envs.max_episode_steps, BeltArmVectorEnv(1, moves=3).max_episode_steps) == (1500, 3600)
-        envs.reset(seed=0)
-        ends = [k for k in range(3100) if envs.step(np.zeros((2, 1), np.float32))[3].all()]
-        assert ends == [1499, 2999]
 
 
 @pytest.mark.parametrize("name", ["paper", "preview"])

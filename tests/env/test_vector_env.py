@@ -42,9 +42,9 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
 CASES: dict[AutoresetMode, dict[str, Any]] = {
     AutoresetMode.NEXT_STEP: {"num_envs": 1, "sensors": "full", "profile": "quintic", "moves": 2},
     AutoresetMode.SAME_STEP: {"num_envs": 5, "sensors": "tip", "randomization": "train", "delay": 1, "moves": 2},
-    AutoresetMode.DISABLED: {"num_envs": 20, "encoder_counts": 1000, "max_episode_steps": 400},
+    AutoresetMode.DISABLED: {"num_envs": 4, "encoder_counts": 1000, "max_episode_steps": 1500, "moves": 2},
 }
-STEPS = {AutoresetMode.NEXT_STEP: 2600, AutoresetMode.SAME_STEP: 3000, AutoresetMode.DISABLED: 850}
+STEPS = {AutoresetMode.NEXT_STEP: 2600, AutoresetMode.SAME_STEP: 3000, AutoresetMode.DISABLED: 2000}
 
 
 def pruned(value: Any) -> Any:

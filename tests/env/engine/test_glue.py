@@ -147,11 +147,11 @@ class TestArguments:
         call = kernel("nothing", "d(n(ad2c))", (Point, tuple)).variant(0)
         for arguments, words in (
             ((1,), "2 arguments are expected, not 1"),
-            ((1, 2), "argument 0: a float is expected, not int"),
-            ((1.0, (2, 3)), "argument 1: <class '.*Point'> with 2 entries is expected, not tuple"),
-            ((1.0, Point(2, ([],))), r"1\[1\]\[0\]: an array \(float64, axes 2, contiguous, writable\) .* not list"),
-            ((1.0, Point(2, (np.zeros(4, "f4")[::2],))), r"not ndarray \(float32, axes 1, not contiguous, writable\)"),
-            ((1.0, Point(2, (np.zeros(4, "c8"),))), r"not ndarray \(of another type, axes 1, "),
+            ((1, 2), "argument 0: .*float.* not int"),
+            ((1.0, (2, 3)), "argument 1: .*Point.* not tuple"),
+            ((1.0, Point(2, ([],))), r"1\[1\]\[0\]: .*float64, axes 2, contiguous, writable.* not list"),
+            ((1.0, Point(2, (np.zeros(4, "f4")[::2],))), "not ndarray .*float32, axes 1, not contiguous, writable"),
+            ((1.0, Point(2, (np.zeros(4, "c8"),))), "not ndarray .*another type, axes 1"),
         ):
             with pytest.raises(TypeError, match=words):
                 call(*arguments)
