@@ -12,8 +12,6 @@ from typing import Any
 from bundles import Exploit
 
 Read = Callable[[], object]
-EXECUTED = "executed"
-"""Name of a file that only loading a pickle makes."""
 _LONG, _DEEP = 100_000, 100_000
 _WEIRD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 3, 2**31, 2**63, -(2**63) - 1, 10**30, 10**400, 0.5, -0.0, 1e-320, 1e308, -1e308),
@@ -23,10 +21,6 @@ _WEIRD: tuple[Any, ...] = (
 _NAMES = ("", "x", "a\nb", "\ud800", "__class__", "x" * 1000, "0", "seed\x00", "é", "format")
 _NUMBERS = (b"1e999", b"-", b"0x10", b"NaN", b"-Infinity", b"01", b"1" * 5000, b"1e-999", b"1.", b"9" * 400)
 _SIZES = (0, 1, 7, 2**16, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1)
-
-
-def exploit(folder: Path) -> bytes:
-    return pickle.dumps(Exploit(folder / EXECUTED))
 
 
 def damaged_content(rng: Random, content: Any) -> Any:
@@ -110,7 +104,8 @@ def damaged_bytes(rng: Random, data: bytes, folder: Path) -> bytes:
             at = rng.choice((0, at, max(0, len(changed) - 22)))
             changed[at : at + 8] = rng.choice(_SIZES).to_bytes(8, "little")
         case _:
-            return rng.choice((b"", exploit(folder), bytes(len(data)), rng.randbytes(len(data)), data + data))
+            exploit = pickle.dumps(Exploit(folder / "executed"))
+            return rng.choice((b"", exploit, bytes(len(data)), rng.randbytes(len(data)), data + data))
     return bytes(changed)
 
 
