@@ -12,6 +12,8 @@ from typing import Any
 from bundles import Exploit
 
 Read = Callable[[], object]
+EXECUTED = "executed"
+"""Name of a file that only loading a pickle makes."""
 _LONG, _DEEP = 100_000, 100_000
 _WEIRD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 3, 2**31, 2**63, -(2**63) - 1, 10**30, 10**400, 0.5, -0.0, 1e-320, 1e308, -1e308),
@@ -104,7 +106,7 @@ def damaged_bytes(rng: Random, data: bytes, folder: Path) -> bytes:
             at = rng.choice((0, at, max(0, len(changed) - 22)))
             changed[at : at + 8] = rng.choice(_SIZES).to_bytes(8, "little")
         case _:
-            exploit = pickle.dumps(Exploit(folder / "executed"))
+            exploit = pickle.dumps(Exploit(folder / EXECUTED))
             return rng.choice((b"", exploit, bytes(len(data)), rng.randbytes(len(data)), data + data))
     return bytes(changed)
 
