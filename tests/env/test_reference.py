@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,50 +13,21 @@ from properties import examples
 from scipy.stats import kstest
 
 from beltarm_env import ArmParams, BeltArmEnv
-from beltarm_env.task import reference as reference_module
-from beltarm_env.task.moves import (
-    DRAWS,
-    LONGEST_TIME,
-    MOST_TORQUE,
-    MOVE_FIELDS,
-    SHORTEST,
-    WORKSPACE,
-    check_moves,
-    draw_moves,
-    peak_torque,
-    shortest_duration,
-)
+from beltarm_env.task import moves, reference
+from beltarm_env.task.moves import DRAWS, LONGEST_TIME, MOST_TORQUE, SHORTEST, WORKSPACE, check_moves, peak_torque
 from beltarm_env.task.reference import PROFILES, QUINTIC, SCURVE, TRAPEZOID, MoveShape, reference_at
 
 Floats = NDArray[np.float64]
-Profile = Literal["trapezoid", "scurve", "quintic"]
-
 ALL = pytest.mark.parametrize("profile", [TRAPEZOID, SCURVE, QUINTIC], ids=PROFILES)
-MOVES = [
-    MoveShape(0.2, 1.3, 0.9, 0.3),
-    MoveShape(1.5, 0.0, 1.2, 0.18),
-    MoveShape(0.0, math.pi / 2, 1.4, 0.7),  # no cruise
-]
-UNIFORMS = st.lists(
-    st.floats(0, 1, exclude_max=True) | st.sampled_from([0.0, 1 - 2**-53]), min_size=DRAWS, max_size=DRAWS
-)
+NO_CRUISE = (0.0, math.pi / 2, 1.4, 0.7)
+MOVES = [MoveShape(*move) for move in ((0.2, 1.3, 0.9, 0.3), (1.5, 0.0, 1.2, 0.18), NO_CRUISE)]
+UNIFORM = st.floats(0, 1, exclude_max=True) | st.sampled_from([0.0, 1 - 2**-53])
+UNIFORMS = st.lists(UNIFORM, min_size=DRAWS, max_size=DRAWS)
 
 
-class Path(NamedTuple):
-    """Reference at many times."""
-
-    angle: Floats
-    speed: Floats
-    acceleration: Floats
-
-
-def path(profile: int, move: MoveShape, times: Floats) -> Path:
-    return Path(*np.array([reference_at(profile, move, time) for time in times.tolist()]).T)
-
-
-def away_from_corners(move: MoveShape, times: Floats, margin: float) -> Floats:
-    corners = np.array([0, move.ramp_time, move.duration - move.ramp_time, move.duration])
-    return times[(np.abs(times[:, None] - corners) > margin).all(axis=1)]
+def path(profile: int, move: MoveShape, times: Floats) -> Floats:
+    """Angles, speeds and accelerations of the reference, shape (3, n)."""
+    return np.array([reference_at(profile, move, time) for time in times.tolist()]).T
 
 
 class TestShape:
@@ -64,12 +35,12 @@ class TestShape:
     @pytest.mark.parametrize("move", MOVES)
     def test_rests_moves_symmetrically_and_rests(self, profile: int, move: MoveShape):
         times, h = np.linspace(-0.1, 1.8, 997), 1e-5
-        slope = (path(profile, move, times + h).angle - path(profile, move, times - h).angle) / (2 * h)
+        slopes = (path(profile, move, times + h) - path(profile, move, times - h))[:2] / (2 * h)
         # at the trapezoid's corners the acceleration jumps by up to 30 rad/s^2: h/4 times that
-        np.testing.assert_allclose(path(profile, move, times).speed, slope, atol=1e-4)
-        times = away_from_corners(move, times, h)
-        slope = (path(profile, move, times + h).speed - path(profile, move, times - h).speed) / (2 * h)
-        np.testing.assert_allclose(path(profile, move, times).acceleration, slope, atol=1e-3)
+        np.testing.assert_allclose(path(profile, move, times)[1], slopes[0], atol=1e-4)
+        corners = np.array([0, move.ramp_time, move.duration - move.ramp_time, move.duration])
+        away = (np.abs(times[:, None] - corners) > h).all(axis=1)
+        np.testing.assert_allclose(path(profile, move, times)[2][away], slopes[1][away], atol=1e-3)
         assert reference_at(profile, move, 0.0)[:2] == (move.start, 0.0)
         assert reference_at(profile, move, -0.3) == (move.start, 0.0, 0.0)
         for time in (move.duration + 1e-9, 10.0):
@@ -89,11 +60,11 @@ class TestShape:
     @pytest.mark.parametrize("move", MOVES)
     def test_peaks(self, profile: int, move: MoveShape):
         length, cruise_time = abs(move.goal - move.start), move.duration - move.ramp_time
-        factor = reference_module.SCURVE_PEAK_ACCELERATION if profile == SCURVE else 1.0
+        factor = reference.SCURVE_PEAK_ACCELERATION if profile == SCURVE else 1.0
         highest, steepest = length / cruise_time, factor * length / cruise_time / move.ramp_time
         if profile == QUINTIC:
-            highest = reference_module.QUINTIC_PEAK_SPEED * length / move.duration
-            steepest = reference_module.QUINTIC_PEAK_ACCELERATION * length / move.duration**2
+            highest = reference.QUINTIC_PEAK_SPEED * length / move.duration
+            steepest = reference.QUINTIC_PEAK_ACCELERATION * length / move.duration**2
         _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 8001)[:-1])
         assert np.abs(speed).max() == pytest.approx(highest, rel=1e-6)
         assert np.abs(acceleration).max() == pytest.approx(steepest, rel=1e-4)
@@ -104,8 +75,8 @@ def draw(profile: int, uniforms: Any, **given_values: float) -> Floats:
     uniforms = np.atleast_2d(np.asarray(uniforms, dtype=np.float64))
     given_table = np.full((len(uniforms), 4), np.nan)
     for name, value in given_values.items():
-        given_table[:, MOVE_FIELDS.index(name)] = value
-    return draw_moves(profile, uniforms, given_table)
+        given_table[:, moves.MOVE_FIELDS.index(name)] = value
+    return moves.draw_moves(profile, uniforms, given_table)
 
 
 def rigid_torque(params: ArmParams, angle: Floats, speed: Floats, acceleration: Floats) -> Floats:
@@ -144,17 +115,13 @@ class TestDrawnMoves:
     def test_with_values_given_are_feasible(
         self, profile: int, uniforms: list[float], fixed: dict[str, float], end: dict[str, float]
     ):
-        assert shortest_duration(profile, SHORTEST, 0.35) < 0.35, "else no move would be"
+        assert moves.shortest_duration(profile, SHORTEST, 0.35) < 0.35, "else no move would be"
         assert peak_torque(profile, SHORTEST, 1.0, 0.04) < MOST_TORQUE, "else no move would be"
         given_values = fixed | ({} if "ramp_time" in fixed else end)
         table = draw(profile, uniforms, **given_values)
         check_moves(profile, table)
         for name, value in given_values.items():
-            assert table[0, MOVE_FIELDS.index(name)] == value
-
-    def test_that_are_given_are_taken_as_they_are(self):
-        values = {"start": 0.3, "goal": 1.1, "duration": 1.05, "ramp_time": 0.21}
-        np.testing.assert_array_equal(draw(TRAPEZOID, [[0.5] * DRAWS], **values), [list(values.values())])
+            assert table[0, moves.MOVE_FIELDS.index(name)] == value
 
 
 class TestDistribution:
@@ -181,15 +148,10 @@ class TestDistribution:
 class TestFeasibility:
     @ALL
     @examples(60)
-    @given(
-        length=st.floats(SHORTEST, WORKSPACE),
-        low=st.floats(0, 1),
-        duration=st.floats(0.3, 1.5),
-        share=st.floats(0.02, 0.5),
-    )
+    @given(st.floats(SHORTEST, WORKSPACE), st.floats(0, 1), st.floats(0.3, 1.5), st.floats(0.02, 0.5))
     def test_torque_that_a_move_needs(self, profile: int, length: float, low: float, duration: float, share: float):
         assert pytest.approx(0.8 * 0.3) == MOST_TORQUE
-        shortest = shortest_duration(profile, length, share)
+        shortest = moves.shortest_duration(profile, length, share)
         assert peak_torque(profile, length, shortest, share * shortest) == pytest.approx(MOST_TORQUE, rel=1e-12)
         assert peak_torque(profile, length, 1.01 * shortest, share * 1.01 * shortest) < MOST_TORQUE
         start, share = low * (WORKSPACE - length), max(share, 0.1)
@@ -212,15 +174,12 @@ class TestFeasibility:
 
     @ALL
     def test_the_time_that_a_refusal_says_to_allow_is_enough(self, profile: int):
-        length = 1.5
         with pytest.raises(ValueError, match="infeasible") as caught:
-            check_moves(profile, np.array([[0.0, length, 0.2, 0.05]]))
-        (advice,) = re.findall(r"allow ([\d.]+) s", str(caught.value))
-        duration = float(advice)
-        check_moves(profile, np.array([[0.0, length, duration, duration / 4]]))
-        shorter = 0.99 * duration
+            check_moves(profile, np.array([[0.0, 1.5, 0.2, 0.05]]))
+        duration = float(re.findall(r"allow ([\d.]+) s", str(caught.value))[0])
+        check_moves(profile, np.array([[0.0, 1.5, duration, duration / 4]]))
         with pytest.raises(ValueError, match="infeasible"):
-            check_moves(profile, np.array([[0.0, length, shorter, shorter / 4]]))
+            check_moves(profile, np.array([[0.0, 1.5, 0.99 * duration, 0.99 * duration / 4]]))
 
     def test_the_arm_of_an_episode_does_not_matter(self):
         env, move = BeltArmEnv(), {"start": 0.2, "goal": 1.2, "duration": 0.8, "ramp_time": 0.25}

@@ -43,10 +43,13 @@ def test_seeds_share_no_arm_and_fill_their_range():
         assert last.first + last.size == whole.first + whole.size
 
 
-def test_a_hash_that_is_none_is_refused():
+def test_what_is_no_hash_or_seed_is_refused():
     for no_hash in ("", "abc1234", "g" * 40, "A" * 40):
         with pytest.raises(ValueError, match="40 hexadecimal digits"):
             seeds.arms_chosen_by(no_hash)
+    for seed in (-1, 1.0, True, "3", None):
+        with pytest.raises(ValueError, match=r"seed .*, got"):
+            checked_seed(seed)
 
 
 def test_no_other_module_has_a_range_of_its_own():
@@ -75,13 +78,7 @@ class TestStreams:
                 draw(streams, order, drawn)
             np.testing.assert_array_equal(drawn, [generators[i].random(count) for i in order])
 
-    def test_of_a_seed_that_is_none_are_refused(self):
-        for seed in (-1, 1.0, True, "3", None):
-            with pytest.raises(ValueError, match=r"seed .*, got"):
-                checked_seed(seed)
-
     def test_of_a_large_batch_begin_as_those_of_arms_alone(self):
-        """More arms than draw at once."""
         batch = BeltArmVectorEnv(5000, randomization="train")
         observations, _ = batch.reset(seed=7)
         for arm in (0, 4095, 4096, 4999):

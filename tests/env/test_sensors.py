@@ -43,24 +43,13 @@ class TestNoise:
 
     def test_is_white_and_of_its_own_on_each_axis_and_in_each_episode(self, series: Floats):
         near = np.array([[noise(seed, float(k), 0) for k in range(400)] for seed in (123456.0, 123457.0)])
-        pairs = {
-            "neighbours": (series[:, 1:], series[:, :-1]),
-            "next but one": (series[:, 2:], series[:, :-2]),
-            "axes": (series[..., 0], series[..., 1]),
-            "episodes": (series[1:], series[:-1]),
-            "axes, shifted": (series[:, 1:, 0], series[:, :-1, 1]),
-            "last digit of the seed": tuple(near),
-        }
-        for name, (a, b) in pairs.items():
-            assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / math.sqrt(a.size), name
+        neighbours = (series[:, 1:], series[:, :-1]), (series[:, 2:], series[:, :-2]), (series[1:], series[:-1])
+        axes = (series[..., 0], series[..., 1]), (series[:, 1:, 0], series[:, :-1, 1])
+        for a, b in (*neighbours, *axes, near):
+            assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / math.sqrt(a.size)
 
 
 # Through the environment
-
-
-def torque(k: int) -> float:
-    """Over its limit: pushes the arm to and fro."""
-    return 0.5 * math.sin(0.02 * k) + 0.3 * math.sin(0.11 * k)
 
 
 class Record:
@@ -72,7 +61,8 @@ class Record:
         first, _ = env.reset(seed=1, options=options)
         states, seen = [env.state], [first]
         for k in range(STEPS):
-            result, _, terminated, _, _ = env.step(np.array([torque(k)], np.float32))
+            torque = 0.5 * math.sin(0.02 * k) + 0.3 * math.sin(0.11 * k)  # to and fro
+            result, _, terminated, _, _ = env.step(np.array([torque], np.float32))
             assert not terminated
             states.append(env.state)
             seen.append(result)

@@ -19,8 +19,6 @@ _PATIENCE = 60.0  # s
 
 
 class Page:
-    """One page of the browser."""
-
     def __init__(self, socket: Any) -> None:
         self._socket = socket
         self._count = 0

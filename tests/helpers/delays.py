@@ -11,12 +11,11 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 
 def delayed(system: System, samples: int) -> System:
     """A system whose input arrives a number of whole samples late."""
-    size = len(system.a)
-    a, b = np.zeros((size + samples, size + samples)), np.zeros(size + samples)
-    a[:size, :size], a[size + 1 :, size:-1] = system.a, np.eye(samples)[1:, 1:]
-    c = np.pad(system.c, (0, samples))
     if samples == 0:
         return system
+    size, c = len(system.a), np.pad(system.c, (0, samples))
+    a, b = np.zeros((size + samples, size + samples)), np.zeros(size + samples)
+    a[:size, :size], a[size + 1 :, size:-1] = system.a, np.eye(samples)[1:, 1:]
     a[:size, -1], c[-1], b[size] = system.b, system.d, 1.0
     return System(a, b, c, 0.0)
 

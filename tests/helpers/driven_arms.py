@@ -11,17 +11,12 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
 from beltarm_env.task.ranges import DRIVE_RANGES, IDEAL_RANGES, PRESLIDING
 from eval.reference.event_located import EventLocatedArm, tip
 
-Command = Callable[[int, EventLocatedArm], float]
-"""Of the sample and the event-located arm: the torque commanded [N m]."""
-
+Command = Callable[[int, EventLocatedArm], float]  # torque [N m] of the sample and the arm
 GEAR = 88.0
 MODELS = ("lumped", "lagrangian")
 LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}
-
 UPPER_ENDS = {name: high for name, (_, high) in DRIVE_RANGES.items()}
-"""Every effect of the drive at its upper end in training."""
 GIVES = {name: high for name, (_, high) in PRESLIDING.items()}
-"""A motor that gives before it slips."""
 
 
 def at_rest(joint: float, torsion: float = 0.0, torsion_speed: float = 0.0, gear: float = GEAR) -> np.ndarray:
@@ -65,7 +60,6 @@ def largest_distance(
 
 
 def stops(arm: EventLocatedArm) -> int:
-    """How often the motor began to stick."""
     return sum(mode == "stuck" for _, mode in arm.mode_changes)
 
 
@@ -74,13 +68,7 @@ def wave(amplitude: float, frequency: float) -> Command:
     return lambda k, _: amplitude * math.sin(2 * math.pi * frequency * k * CONTROL_PERIOD)
 
 
-def pushed(sample: int, _: EventLocatedArm) -> float:
-    """The command of `push`."""
-    return push(sample)
-
-
 def full_arm_at(params: ArmParams, theta_1: float, phi: float) -> EventLocatedArm:
-    """Full arm at rest at some angles."""
     return EventLocatedArm(params, np.array([params.gear_ratio * theta_1, 0.0, theta_1 - phi, 0.0]), "lagrangian")
 
 
@@ -92,7 +80,7 @@ def random_params(rng: np.random.Generator) -> ArmParams:
     return ArmParams(**drawn, payload_mass=rng.uniform(0, 0.5))
 
 
-def push(sample: int) -> float:
+def push(sample: int, _: object = None) -> float:
     """Command [N m]: a 3 Hz wave of a fifth of the torque limit and a square one of a tenth at 1.7 Hz."""
     time = sample * CONTROL_PERIOD
     return 0.06 * math.sin(6 * math.pi * time) + math.copysign(0.03, math.sin(3.4 * math.pi * (time + 1e-9)))
@@ -111,17 +99,13 @@ def swing(sample: int, arm: EventLocatedArm) -> float:
 
 
 def drawn_arms(count: int, seed: int) -> list[dict[str, Any]]:
-    """Arms of the training ranges behind drives at the upper ends, with phases and orders of their own.
-
-    Every other one has the lowest Stribeck speed instead, at which friction changes fastest.
-    """
-    rng = np.random.default_rng(seed)
-    arms = []
+    """Arms of the training ranges behind drives at the upper ends, with phases and orders of their own."""
+    rng, arms = np.random.default_rng(seed), []
     for k in range(count):
         arm = {name: rng.uniform(*pair) for name, pair in IDEAL_RANGES.items()} | UPPER_ENDS
         arm |= {name: rng.uniform(*DRIVE_RANGES[name]) for name in DRIVE_RANGES if name.endswith("_phase")}
         arm["torque_ripple_order"] = float(rng.integers(4, 13))
         if k % 2:
-            arm["stribeck_speed"] = DRIVE_RANGES["stribeck_speed"][0]
+            arm["stribeck_speed"] = DRIVE_RANGES["stribeck_speed"][0]  # at which friction changes fastest
         arms.append(arm)
     return arms

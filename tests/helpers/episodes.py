@@ -39,18 +39,9 @@ def assert_as_alone(
 ) -> int:
     """Assert that arms of a batch in the mode SameStep are environments alone, bit for bit and across resets.
 
-    Args:
-        batch: The batch.
-        alone: Environments, one for each of `arms`.
-        actions: Those of the batch, each of shape (num_envs, 1).
-        seed: Of the first arm.
-        arms: Which arms of the batch are compared, all by default.
-
-    Returns:
-        How many episodes ended.
+    Compared are all arms, or some that are given; the seed is the first arm's. Return how many episodes ended.
     """
-    arms = range(batch.num_envs) if arms is None else arms
-    pairs, ends = list(zip(arms, alone, strict=True)), 0
+    pairs, ends = list(zip(arms or range(batch.num_envs), alone, strict=True)), 0
     first, _ = batch.reset(seed=seed)
     for arm, env in pairs:
         assert first[arm].tobytes() == env.reset(seed=seed + arm)[0].tobytes()
@@ -83,23 +74,18 @@ def next_move(env: BeltArmVectorEnv, payload: float) -> Any:
     table, goal = env.params_table, np.clip(env.moves[:, 1], 0, np.pi / 2)
     params = {name: table[:, k].copy() for k, name in enumerate(FIELDS)}
     params["payload_mass"] = np.full(len(table), payload)
-    options = {"params": params, "move": {"start": goal}, "state": env.state}
-    return env.reset(options=options)[0]
+    return env.reset(options={"params": params, "move": {"start": goal}, "state": env.state})[0]
 
 
 def torques_of(controller: Any, first: int, count: int, steps: int = 160, **settings: Any) -> NDArray[np.float32]:
-    """Torques of a controller on `count` arms, seeded from `first` on, as they set out; shape (steps, count).
-
-    After 160 samples what differs by a rounding has had time to grow.
-    """
+    """Torques of a controller on arms that set out, shape (steps, count): what a rounding changes has time to grow."""
     arms = BeltArmVectorEnv(count, autoreset_mode="Disabled", **settings)
     observation, _ = arms.reset(seed=first)
-    memory, start, taken = None, np.ones(count, np.bool_), []
-    for _ in range(steps):
-        action, memory = controller.predict(observation, memory, start)
+    memory, taken = None, []
+    for k in range(steps):
+        action, memory = controller.predict(observation, memory, np.full(count, k == 0))
         taken.append(action[:, 0].copy())
         observation, *_ = arms.step(action)
-        start = np.zeros(count, np.bool_)
     return np.stack(taken)
 
 

@@ -30,5 +30,4 @@ def lively(shape: ActorShape, seed: int = 0) -> Actor:
 
 
 def episodes(shape: ActorShape, count: int, steps: int = 12, seed: int = 0) -> Singles:
-    """Random inputs, shape (steps, count, inputs)."""
     return np.random.default_rng(seed).normal(0, 2, (steps, count, shape.inputs)).astype(np.float32)

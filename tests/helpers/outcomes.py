@@ -15,24 +15,13 @@ from eval.comparison.statistics import Paired
 from eval.report.verdict import verdict
 
 ORIGIN = {
-    "command": "python eval/compare.py --out /tmp/me/out",
-    "beltarm": "1",
-    "version": "1",
-    "inputs": "0",
-    "commit": "abc",
-    "splits_version": 2,
-    "split_seeds": {"nominal": 1},
-    "split_sha256": {"nominal": "0" * 64},
-    "python": "3",
-    "packages": {"numpy": "2"},
-    "machine": "riscv64",
-    "seconds": 1.0,
-    "pairs_kept_before": 0,
+    **{"command": "python eval/compare.py --out /tmp/me/out", "beltarm": "1", "version": "1", "inputs": "0"},
+    **{"splits_version": 2, "split_seeds": {"nominal": 1}, "split_sha256": {"nominal": "0" * 64}, "commit": "abc"},
+    **{"python": "3", "packages": {"numpy": "2"}, "machine": "riscv64", "seconds": 1.0, "pairs_kept_before": 0},
 }
 
 
 def outcome_of(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> MethodOutcome:
-    """The outcome of a method with these metrics."""
     return MethodOutcome(method, split, metrics, estimated([metrics])[0], action_times)
 
 
@@ -40,8 +29,7 @@ def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
 ) -> MethodOutcome:
     """A made-up outcome, of the same scenarios for every method."""
-    count = np.broadcast_shapes(np.shape(costs), (1,))[-1]
-    count = count if count > 1 else 24
+    count = np.size(costs) if np.size(costs) > 1 else 24
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, count))
     values = np.broadcast_to(np.asarray(costs) * np.linspace(0.9, 1.1, count), (seeds, count)) + noise
     metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, count))}
@@ -56,7 +44,6 @@ def pair_of(comparison: Comparison, method: str) -> dict[str, Paired]:
 
 
 def content_of(comparison: Comparison) -> dict[str, Any]:
-    """Content of the results.json of a comparison."""
     return to_json(comparison, *verdict(comparison))
 
 

@@ -85,7 +85,6 @@ class Calls:
     _counts: Counter[Any] = field(default_factory=Counter)
 
     def count_anew(self) -> None:
-        """Record first calls again."""
         self._counts.clear()
 
     def recorded(self, kernel: Kernel, run: Callable[..., Any]) -> Callable[..., Any]:
@@ -109,7 +108,6 @@ class Calls:
 
 @contextmanager
 def recorded_calls() -> Iterator[Calls]:
-    """Record what Python calls within."""
     calls, call, prepared = Calls(), Kernel.__call__, Kernel.prepared
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Kernel, "__call__", lambda self, *a, **n: calls.recorded(self, call.__get__(self))(*a, **n))

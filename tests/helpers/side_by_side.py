@@ -14,16 +14,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from baselines.engines.parallel import (
-    BrokenOff,
-    Channel,
-    Engine,
-    Failure,
-    Interrupted,
-    StopRequest,
-    Task,
-    run_side_by_side,
-)
+from baselines.engines import parallel
+from baselines.engines.parallel import Channel, Engine, Failure, StopRequest, Task, run_side_by_side
 
 
 def square(number: int, channel: Channel) -> int:
@@ -42,7 +34,7 @@ def last(folder: Path, channel: Channel) -> str:
     while not channel.stop.made:
         time.sleep(0.01)
     (folder / "ended").write_text("")
-    raise Interrupted("saved")
+    raise parallel.Interrupted("saved")
 
 
 def die_at_first(folder: Path, times: int, channel: Channel) -> str:
@@ -97,8 +89,6 @@ def until_begun(folders: list[Path], _: Channel) -> None:
 
 
 class Place(NamedTuple):
-    """Where tasks run."""
-
     engine: Engine
     jobs: int
 
@@ -147,7 +137,7 @@ class InWorkers(Anywhere):
             outcomes[name] = outcome
         assert outcomes.pop("seen") is None
         assert "a" in outcomes and len(outcomes) <= 2, "another one may have begun meanwhile"
-        assert all(end.message == "saved" and isinstance(end.error, Interrupted) for end in outcomes.values())
+        assert all(end.message == "saved" and isinstance(end.error, parallel.Interrupted) for end in outcomes.values())
         assert {folder.name for folder in folders if (folder / "ended").exists()} == set(outcomes)
 
     def test_workers_have_the_folder_and_the_threads_that_they_are_given(
@@ -179,6 +169,6 @@ class InWorkers(Anywhere):
         assert place.outcomes({**killed, **squares}) == {"once": "after 1", "0": 0, "1": 1, "2": 4}
         outcomes = place.outcomes({"always": partial(die_at_first, tmp_path / "always", 99), **squares})
         broken = outcomes.pop("always")
-        assert isinstance(broken, Failure) and isinstance(broken.error, BrokenOff)
+        assert isinstance(broken, Failure) and isinstance(broken.error, parallel.BrokenOff)
         assert len(list((tmp_path / "always").glob("try*"))) == 2
         assert outcomes == {"0": 0, "1": 1, "2": 4}

@@ -59,12 +59,10 @@ class StopAfter(StopRequest):
 
 
 def weights(folder: Path) -> dict[str, bytes]:
-    """Weights of a policy."""
     return {name: array.tobytes() for name, array in read_bundle(folder).weights.arrays.items()}
 
 
 def same_policies(first: Path, second: Path) -> bool:
-    """Whether two runs leave the same weights."""
     return all(weights(first / kind) == weights(second / kind) for kind in ("best", "last"))
 
 

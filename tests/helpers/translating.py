@@ -11,29 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from beltarm_env.engine.translation import header
+from beltarm_env.engine.translation import header, types
 from beltarm_env.engine.translation.arrays import contiguous
 from beltarm_env.engine.translation.function import Function
 from beltarm_env.engine.translation.program import Program
 from beltarm_env.engine.translation.tidy import without_unused
-from beltarm_env.engine.translation.types import (
-    BOOL,
-    INT,
-    REAL,
-    SINGLE,
-    Array,
-    Const,
-    Group,
-    Scalar,
-    Value,
-    dtype_of,
-    parts_of,
-)
+from beltarm_env.engine.translation.types import Array, Const, Group, Scalar, Value, dtype_of, parts_of
 from eval.exports.compilers import SANITISED, Toolchain, native
 
 Kernel = Callable[..., Any]
 Calls = list[tuple[Any, ...]]
-CTYPES = {REAL: ctypes.c_double, SINGLE: ctypes.c_float, INT: ctypes.c_int64, BOOL: ctypes.c_bool}
+CTYPES = {
+    **{types.REAL: ctypes.c_double, types.SINGLE: ctypes.c_float, types.INT: ctypes.c_int64, types.BOOL: ctypes.c_bool},
+}
 INTEGERS = np.int64  # arrays of whole numbers, as the program has them
 SANITISE = "BELTARM_TEST_SANITISED"
 """Variable of the environment that asks for kernels with sanitizers."""
@@ -48,7 +38,6 @@ def compiler() -> Toolchain:
 
 
 def leaves(argument: Any) -> Iterator[Any]:
-    """Numbers and arrays of an argument."""
     if isinstance(argument, tuple):
         for part in argument:
             yield from leaves(part)
@@ -57,7 +46,6 @@ def leaves(argument: Any) -> Iterator[Any]:
 
 
 def kind_of(leaf: Any) -> str:
-    """Type of C of a number, or of an array's numbers."""
     return dtype_of(leaf.dtype if isinstance(leaf, np.ndarray | np.generic) else type(leaf))
 
 
@@ -81,7 +69,6 @@ def value_of(argument: Any, parameters: list[str]) -> Value:
 
 
 def results(value: Value) -> list[Scalar]:
-    """Numbers that a function returns."""
     if isinstance(value, Const) and value.value is None:
         return []
     if isinstance(value, Scalar):
@@ -102,19 +89,8 @@ def translate(function: Kernel, arguments: tuple[Any, ...], program: Program, na
     return f"extern {head};\n{head}\n{{\n{lines}\n}}"
 
 
-def text_of(program: Program, functions: list[str]) -> str:
-    """A program's source."""
-    head = ["#include <string.h>", '#include "arithmetic.h"', *program.struct_texts, *program.used_tables()]
-    return "\n\n".join([*head, *program.texts, *functions, ""])
-
-
 class Translated:
-    """Kernels in C, in a library that is loaded.
-
-    Args:
-        folder: To build in.
-        kernels: By name, with arguments as they are called with.
-    """
+    """Kernels by name, with arguments as they are called with, in a library of C that is built and loaded."""
 
     def __init__(self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]]) -> None:
         toolchain, program = compiler(), Program()
@@ -122,13 +98,14 @@ class Translated:
         functions = [translate(kernel, given, program, name) for name, (kernel, given) in kernels.items()]
         (folder / "arithmetic.h").write_text(header("arithmetic.h"))
         source, library = folder / "kernels.c", folder / "kernels.so"
-        source.write_text(text_of(program, functions))
+        head = ["#include <string.h>", '#include "arithmetic.h"', *program.struct_texts, *program.used_tables()]
+        source.write_text("\n\n".join([*head, *program.texts, *functions, ""]))
         toolchain.build([source], library, "-shared", "-fPIC", *flags)
         self.library = ctypes.CDLL(str(library))
 
     def call(self, name: str, *arguments: Any) -> list[float]:
         """Numbers that a kernel returns; arrays among the arguments are written to."""
-        given, out = [], np.full(16, np.nan)
+        given, out = [], np.full(32, np.nan)
         for leaf in leaves(arguments):
             if isinstance(leaf, np.ndarray):
                 assert leaf.flags.c_contiguous
@@ -173,12 +150,7 @@ class Cases(dict[str, tuple[Kernel, Kernel, Calls]]):
     """Kernels by name, each with its reference and the arguments that it is called with."""
 
     def case(self, *calls: tuple[Any, ...], reference: Kernel | None = None) -> Callable[[Kernel], Kernel]:
-        """Make a kernel a case.
-
-        Args:
-            *calls: Its arguments, for each call.
-            reference: What gives its results in Python; None for the kernel itself.
-        """
+        """Make a kernel a case, with the arguments of its calls, and what gives its results in Python if not itself."""
 
         def add(kernel: Kernel) -> Kernel:
             self.add(kernel, list(calls), reference)
@@ -187,7 +159,6 @@ class Cases(dict[str, tuple[Kernel, Kernel, Calls]]):
         return add
 
     def add(self, kernel: Kernel, calls: Calls, reference: Kernel | None = None) -> None:
-        """Make a kernel a case, as `case` does."""
         self[kernel.__name__] = kernel, reference or kernel, calls
 
     def library(self, folder: Path) -> Translated:

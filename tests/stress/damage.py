@@ -25,11 +25,6 @@ _NUMBERS = (b"1e999", b"-", b"0x10", b"NaN", b"-Infinity", b"01", b"1" * 5000, b
 _SIZES = (0, 1, 7, 2**16, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1)
 
 
-def exploit(folder: Path) -> bytes:
-    """Pickle that makes a file as it is loaded."""
-    return pickle.dumps(Exploit(folder / EXECUTED))
-
-
 def damaged_content(rng: Random, content: Any) -> Any:
     """JSON content with one to three changes at random places."""
     content = copy.deepcopy(content)
@@ -111,7 +106,8 @@ def damaged_bytes(rng: Random, data: bytes, folder: Path) -> bytes:
             at = rng.choice((0, at, max(0, len(changed) - 22)))
             changed[at : at + 8] = rng.choice(_SIZES).to_bytes(8, "little")
         case _:
-            return rng.choice((b"", exploit(folder), bytes(len(data)), rng.randbytes(len(data)), data + data))
+            exploit = pickle.dumps(Exploit(folder / EXECUTED))
+            return rng.choice((b"", exploit, bytes(len(data)), rng.randbytes(len(data)), data + data))
     return bytes(changed)
 
 

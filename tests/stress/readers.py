@@ -22,8 +22,7 @@ from agents.policy.description import BundleSpec
 from agents.residual.controller import ResidualSettings
 from agents.runs.checkpoint import RunFolder
 from agents.tensor_file import read_packed
-from baselines.gains import FILE as GAINS
-from baselines.gains import tuned
+from baselines import gains
 from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
 from beltarm_env.task.seeds import arms_chosen_by
@@ -34,15 +33,11 @@ from eval.comparison.splits import digest_of, draw_arms, first_seed
 from tests.stress import damage
 
 _RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "comparison" / "results.json"
-_SCENARIOS = 3
-
 Damaged = tuple[dict[str, bytes], bool]
 """Files by name, and whether they may mean something else than the sound ones: their hashes fit, or they have none."""
 
 
 class Reader(NamedTuple):
-    """Something that reads files, of which sound ones are in a folder."""
-
     read: damage.Read  # what the files mean
     damaged: Callable[[Random], Damaged]
 
@@ -67,7 +62,6 @@ def _of_json(
 
 
 def _policy(folder: Path) -> Reader:
-    """Reader of a small policy, whose file or description is damaged."""
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
     spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
     save_bundle(folder, spec, Actor(spec.shape()).weights())
@@ -119,7 +113,7 @@ def _checkpoint(folder: Path) -> Reader:
 def _scenarios(folder: Path) -> Reader:
     protocol = json.loads(sets.FILE.read_text())["protocol"]
     first = first_seed("nominal", arms_chosen_by(protocol))
-    split = draw_arms("nominal", TEST_NAME, range(first, first + _SCENARIOS))
+    split = draw_arms("nominal", TEST_NAME, range(first, first + 3))
     content, path = sets.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
 
     def rehash(content: dict[str, Any]) -> None:
@@ -136,17 +130,11 @@ def _results(folder: Path) -> Reader:
 
 
 def _gains(folder: Path) -> Reader:
-    content, path = json.loads(GAINS.read_text()), folder / "gains.json"
+    content, path = json.loads(gains.FILE.read_text()), folder / "gains.json"
     content = {name: content[name] for name in ("zv", "zvd")}
-    return _of_json(partial(tuned, "zv", TUNABLE["zv"].gains, path), path, content)
+    return _of_json(partial(gains.tuned, "zv", TUNABLE["zv"].gains, path), path, content)
 
 
-READERS: dict[str, Callable[[Path], Reader]] = {
-    "policy": _policy,
-    "options": _options,
-    "checkpoint": _checkpoint,
-    "scenarios": _scenarios,
-    "results": _results,
-    "gains": _gains,
-}
+_ALL = (_policy, _options, _checkpoint, _scenarios, _results, _gains)
+READERS: dict[str, Callable[[Path], Reader]] = {make.__name__[1:]: make for make in _ALL}
 """Makes sound files in an empty folder, and what reads them."""

@@ -30,27 +30,23 @@ AGAIN = "import sys, pathlib; from recording_calls import differing; print(*diff
 
 def step_environments() -> None:
     """Step an arm and a batch, with what they can be made with."""
-    for sensors, model, ranges in product(SENSORS, ("lumped", "lagrangian"), ("off", "train")):
-        env = BeltArmEnv(sensors=sensors, model=model, randomization=ranges)  # pyright: ignore[reportArgumentType]
-        batch = BeltArmVectorEnv(3, sensors=sensors, model=model, randomization=ranges, max_episode_steps=3)  # pyright: ignore[reportArgumentType]
-        env.reset(seed=1)
-        batch.reset(seed=1)
-        for _ in range(STEPS):
-            env.step(np.array([0.3], np.float32))
-            batch.step(np.full((3, 1), -0.5, np.float32))
-    for model, ranges in product(("lumped", "lagrangian"), ("off", "train")):  # into the second move
-        for env in (
-            BeltArmEnv(model=model, randomization=ranges, moves=2),
-            BeltArmVectorEnv(3, model=model, randomization=ranges, moves=2),
-        ):
-            env.reset(seed=1)
-            for _ in range(EPISODE_STEPS + 1):
-                env.step(np.zeros(env.action_space.shape or (), np.float32))
+    for model, ranges in product(("lumped", "lagrangian"), ("off", "train")):
+        settings: dict[str, Any] = {"model": model, "randomization": ranges}
+        for sensors in SENSORS:
+            play(BeltArmEnv(sensors=sensors, **settings), 0.3, STEPS)
+            play(BeltArmVectorEnv(3, sensors=sensors, max_episode_steps=3, **settings), -0.5, STEPS)
+        for env in (BeltArmEnv(moves=2, **settings), BeltArmVectorEnv(3, moves=2, **settings)):
+            play(env, 0.0, EPISODE_STEPS + 1)  # into the second move
 
 
-def drive(controller: Any, sensors: str) -> None:
-    """Drive a few arms by a controller."""
-    env = BeltArmVectorEnv(3, sensors=sensors, randomization="train")  # pyright: ignore[reportArgumentType]
+def play(env: Any, action: float, steps: int) -> None:
+    env.reset(seed=1)
+    for _ in range(steps):
+        env.step(np.full(env.action_space.shape, action, np.float32))
+
+
+def drive(controller: Any, sensors: Any) -> None:
+    env = BeltArmVectorEnv(3, sensors=sensors, randomization="train")
     observation, memory, begins = env.reset(seed=5)[0], None, np.ones(3, bool)
     for _ in range(STEPS):
         torque, memory = controller.predict(observation, memory, begins)

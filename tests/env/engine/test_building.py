@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -36,15 +35,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The objects that are compiled."""
-    paths: list[Path] = []
-    compile_really = building._compile
-
-    def compile_and_note(*given: Any) -> None:
-        paths.append(given[3])
-        compile_really(*given)
-
-    monkeypatch.setattr(building, "_compile", compile_and_note)
+    paths, really = list[Path](), building._compile
+    monkeypatch.setattr(building, "_compile", lambda *given: (paths.append(given[3]), really(*given)))
     return paths
 
 

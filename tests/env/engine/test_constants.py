@@ -5,7 +5,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from beltarm_env.arrays import Floats
 from beltarm_env.engine import PLAIN, compiled, inlined, library, with_constants
 from beltarm_env.engine.entries import types_of
 from beltarm_env.kernels.episodes import tip_errors
@@ -25,25 +24,17 @@ def _double(x: float) -> float:
 
 
 @compiled
-def _mark(values: Floats) -> int:
+def _mark(values: Any) -> int:
     values[_place(1)] = _double(WIDTH)
     return WIDTH
-
-
-def marked(width: int) -> list[float]:
-    kernel: Any = _mark if width == WIDTH else with_constants(cast("Any", _mark), WIDTH=width)
-    values = np.zeros(6)
-    assert kernel(values) == width
-    return values.tolist()
 
 
 def test_a_constant_is_another_in_all_that_a_kernel_calls_and_the_kernel_stays_as_it_is():
     expected = {3: [0, 0, 0, 6, 0, 0], 1: [0, 2, 0, 0, 0, 0], 5: [0, 0, 0, 0, 0, 10]}
     for width in (3, 1, 5, 3, 1):
-        assert marked(width) == expected[width]
-
-
-def test_there_is_one_kernel_for_each_value_and_none_without_such_a_constant():
+        kernel: Any = _mark if width == WIDTH else with_constants(cast("Any", _mark), WIDTH=width)
+        values = np.zeros(6)
+        assert kernel(values) == width and values.tolist() == expected[width]
     assert with_constants(_mark, WIDTH=2) is with_constants(_mark, WIDTH=2)
     assert with_constants(_mark, WIDTH=2) is not with_constants(_mark, WIDTH=4)
     assert with_constants(_double, WIDTH=2) is _double

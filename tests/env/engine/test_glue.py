@@ -4,6 +4,7 @@ import gc
 import sys
 import weakref
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,8 +24,11 @@ class Other(NamedTuple):
     y: Any
 
 
-class Subclass(np.ndarray):
-    """Read by its buffer, and not as NumPy's own type."""
+class Subclass(np.ndarray):  # read by its buffer, and not as NumPy's own type
+    pass
+
+
+EACH_KIND = pytest.mark.parametrize("kind", [np.ndarray, Subclass])
 
 
 def takes(kernel: Any, *arguments: Any) -> bool:
@@ -53,20 +57,17 @@ class TestMatching:
         assert not any(takes(made, value) for value in others)
         assert not takes(made) and not takes(made, fitting[0], fitting[0])
 
-    def test_constants_are_the_same_object(self, kernel: Any):
-        model, other = [1], [1]
+    def test_constants_are_the_same_object_and_tuples_have_their_type_and_entries(self, kernel: Any):
+        model = [1]
         made = kernel("nothing", "kk", (model, "full"))
-        assert takes(made, model, "full")
-        assert not takes(made, other, "full") and not takes(made, model, "lumped")
-
-    def test_tuples_have_their_type_and_entries(self, kernel: Any):
+        assert takes(made, model, "full") and not takes(made, [1], "full") and not takes(made, model, "lumped")
         made = kernel("nothing", "(d(dn))", (Point, tuple))
         assert takes(made, Point(1.0, (2.0, 3)))
         unfit = (1.0, (2.0, 3)), Other(1.0, (2.0, 3)), Point(1.0, [2.0, 3]), Point(1.0, (2.0,)), Point(1.0, (2.0, 3, 4))
         assert not any(takes(made, value) for value in unfit)
         assert takes(kernel("nothing", "()", (tuple,)), ())
 
-    @pytest.mark.parametrize("kind", [np.ndarray, Subclass])
+    @EACH_KIND
     @pytest.mark.parametrize("code", "d f l ? b L B".split())
     def test_arrays_have_their_type(self, kernel: Any, code: str, kind: type):
         names = "float64 float32 int64 bool int8 uint64 uint8"
@@ -80,15 +81,12 @@ class TestMatching:
         if code == "l":
             assert takes(made, np.zeros(3, np.longlong).view(kind))
 
-    @pytest.mark.parametrize("kind", [np.ndarray, Subclass])
+    @EACH_KIND
     def test_arrays_have_their_layout(self, kernel: Any, kind: type):
-        def readonly(array: np.ndarray) -> np.ndarray:
-            array = array[...]
-            array.flags.writeable = False
-            return array
-
         whole = np.zeros((4, 6)).view(kind)
-        arrays = {"c": whole, "C": readonly(whole), "s": whole[:, ::2], "S": readonly(whole.T)}
+        fixed = whole[...]
+        fixed.flags.writeable = False
+        arrays = {"c": whole, "C": fixed, "s": whole[:, ::2], "S": fixed.T}
         for layout in arrays:
             made = kernel("nothing", f"ad2{layout}")
             assert [name for name, array in arrays.items() if takes(made, array)] == [layout]
@@ -98,8 +96,6 @@ class TestMatching:
         assert not takes(made, whole[:, :1])
         assert takes(kernel("nothing", "ad2s"), whole[::-1])
         assert takes(kernel("nothing", "ad0c"), np.zeros(())) and not takes(kernel("nothing", "ad0C"), np.float64(1))
-
-    def test_entries_that_lie_between_others_do_not_match(self, kernel: Any):
         records = np.zeros(4, [("a", "i1"), ("x", "f8")])
         odd = np.zeros(33, np.uint8)[1:].view(np.float64)
         assert not takes(kernel("nothing", "ad1s"), records["x"])
@@ -133,7 +129,7 @@ class TestArguments:
         assert made.call(Point(0.5, Point(-3, True))) == (0.5, (-3,), None, (), True, 2**64 - 1)
         assert made.variant(0)(Point(0.5, Point(2**62, False)))[1::3] == ((2**62,), False)
 
-    @pytest.mark.parametrize("kind", [np.ndarray, Subclass])
+    @EACH_KIND
     def test_shapes_and_strides_are_counted_in_entries(self, kernel: Any, kind: type):
         array = np.zeros((6, 8), np.float32).view(kind)
         assert kernel("numbers", "af2snn", (), "(nnnn)").call(array[::2, ::-4], 1, 2) == (3, 2, 16, -4)
@@ -151,23 +147,22 @@ class TestArguments:
         call = kernel("nothing", "d(n(ad2c))", (Point, tuple)).variant(0)
         for arguments, words in (
             ((1,), "2 arguments are expected, not 1"),
-            ((1, 2), "argument 0: a float is expected, not int"),
-            ((1.0, (2, 3)), "argument 1: <class '.*Point'> with 2 entries is expected, not tuple"),
-            ((1.0, Point(2, ([],))), r"1\[1\]\[0\]: an array \(float64, axes 2, contiguous, writable\) .* not list"),
-            ((1.0, Point(2, (np.zeros(4, "f4")[::2],))), r"not ndarray \(float32, axes 1, not contiguous, writable\)"),
-            ((1.0, Point(2, (np.zeros(4, "c8"),))), r"not ndarray \(of another type, axes 1, "),
+            ((1, 2), "argument 0: .*float.* not int"),
+            ((1.0, (2, 3)), "argument 1: .*Point.* not tuple"),
+            ((1.0, Point(2, ([],))), r"1\[1\]\[0\]: .*float64, axes 2, contiguous, writable.* not list"),
+            ((1.0, Point(2, (np.zeros(4, "f4")[::2],))), "not ndarray .*float32, axes 1, not contiguous, writable"),
+            ((1.0, Point(2, (np.zeros(4, "c8"),))), "not ndarray .*another type, axes 1"),
         ):
             with pytest.raises(TypeError, match=words):
                 call(*arguments)
 
 
 class TestResults:
-    def test_finish_makes_the_result(self, kernel: Any):
+    def test_finish_makes_the_result_and_what_an_entry_says_is_an_error(self, kernel: Any):
         assert kernel("scalars", "dnb", (), "(dn)", lambda result: Point(*result)).call(0.5, 2, True) == Point(0.5, 2)
         with pytest.raises(ZeroDivisionError):
             kernel("nothing", "", (), "0", lambda _: 1 / 0).call()
 
-    def test_what_an_entry_says_is_an_error(self, kernel: Any):
         content = bytearray(8)
         with pytest.raises(ValueError, match=r"^100% wrong$"):
             kernel("wrong", "aB1c").call(content)
@@ -185,16 +180,10 @@ class TestResults:
         assert [sys.getrefcount(value) for value in objects] == before
 
     def test_kernels_are_collected(self, glue: Any, at: Any):
-        class Function:
-            kernel: Any = None
-
-            def __call__(self, *_: Any) -> None:
-                raise AssertionError
-
-        missing, finish = Function(), Function()
+        missing, finish = Mock(), Mock()
         missing.kernel = finish.kernel = made = glue.Kernel(missing)
         made.add(at("nothing"), "k", (finish,), "0", finish)
-        finish.call = made.variant(0)  # pyright: ignore[reportAttributeAccessIssue]
+        finish.call = made.variant(0)
         references = weakref.ref(missing), weakref.ref(finish)
         del missing, finish, made
         gc.collect()

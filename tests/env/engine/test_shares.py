@@ -40,19 +40,6 @@ def test_helpers_work_at_the_same_time_and_are_awaited_by_their_caller_alone(ker
         assert held.result(60) is None
 
 
-def test_many_callers(kernel: Any):
-    made = kernel("mark", "nal1cal1c")
-
-    def work(threads: int) -> bool:
-        counts, places = np.zeros(threads, np.int64), np.zeros(threads, np.int64)
-        for _ in range(500):
-            made.share(threads, counts, places)
-        return counts.tolist() == [500] * threads
-
-    with ThreadPoolExecutor(4) as pool:
-        assert all(pool.map(work, [2, 3, 4, 2, 3, 4]))
-
-
 def test_errors_and_what_does_not_fit(kernel: Any):
     made = kernel("wrong_elsewhere", "n")
     assert made.share(2) is None

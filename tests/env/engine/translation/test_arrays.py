@@ -1,14 +1,18 @@
-"""Kernels with arrays, translated to C, read and write what they do in Python, to the last bit."""
+"""Kernels with arrays, translated to C, read and write what they do in Python, to the last bit, within their memory."""
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from translating import INTEGERS, Cases, Translated
+from translating import INTEGERS, SANITISE, Cases, Translated, compiler
 
 from beltarm_env.engine.translation.types import Const
 from beltarm_env.engine.words import add, look
@@ -19,38 +23,58 @@ TABLE = np.array([[1.0, 2.0, 3.0], [-4.0, 0.1, 6.0]])
 WHOLES = np.array([3, -1, 2])
 LAST = slice(2, 4)
 STEPS = (1, 2, 5)
+ENDS = (-12, -3, 0, 2, 7, 8, 20)
+FAR = (2**31 - 2, 2**31 - 1, 2**31, -(2**31), -(2**31) - 1, 5, -7, 0)
+
+
+class Inner(NamedTuple):
+    row: Any
+    times: int
 
 
 class Memory(NamedTuple):
-    """Arrays, one of them in a tuple of its own, and what may not be there."""
-
     state: Any
     inner: Any
     spare: Any = None
 
 
-class Inner(NamedTuple):
-    """An array and a number."""
-
-    row: Any
-    times: int
+class Workspace(NamedTuple):
+    left: Any
+    right: Any
 
 
 def row(n: int = 5) -> Any:
     return np.linspace(-1.0, 2.5, n) ** 3
 
 
+def wholes(*numbers: int) -> Any:
+    return np.array(numbers, INTEGERS)
+
+
 def square() -> Any:
     return np.arange(12.0).reshape(3, 4) - 5.5
 
 
-@case((row(),))
-def elements(a: Any) -> float:
+def mean(values: Any) -> float:
+    total = 0.0
+    for k in range(len(values)):
+        total += values[k]
+    return total / len(values)
+
+
+# Indices and slices
+
+
+@case((row(8), -1), (row(8), 3), (row(8), -8))
+def elements(a: Any, k: int) -> float:
     a[0], a[1] = a[1], a[0]
     a[-1] = a[2] * a[-2]
     a[2] += 1.5
     a[3] *= -a[3]
-    return a[0] + a[4]
+    a[k] += 1.0
+    for j in range(-3, 3):
+        a[j] += j
+    return a[0] + a[4] + a[k]
 
 
 @case((square(), 1), (square(), 2))
@@ -67,12 +91,150 @@ def parts(a: Any, k: int) -> float:
     return total + a.shape[0] * len(a)
 
 
-def mean(values: Any) -> float:
-    """Return the mean of some numbers."""
-    total = 0.0
-    for k in range(len(values)):
-        total += values[k]
-    return total / len(values)
+@case(*((row(8), start, stop) for start, stop in itertools.product(ENDS, ENDS)))
+def slices_cut(a: Any, start: int, stop: int) -> tuple[int, ...]:
+    part = a[start:stop]
+    part += 1.0
+    a[start:] *= 2.0
+    a[:stop] -= 3.0
+    return len(part), len(a[start:]), len(part[:-1]), len(part[-2:]), len(a[-10:]), len(a[:-10]), len(a[5:99])
+
+
+def next_place(counter: Any) -> int:
+    counter[0] += 1
+    return counter[0] - 1
+
+
+@case((row(8), wholes(1, -1, 0), wholes(0), wholes(3, 2)))
+def indices_in_memory(a: Any, i: Any, counter: Any, n: Any) -> float:
+    a[i[1]] = a[i[0]]
+    a[i[1] - 1] += 2.0
+    i[0] = 5
+    a[i[0]] *= 3.0
+    a[next_place(counter)] += 10.0
+    a[next_place(counter)] *= a[next_place(counter)]
+    n[: n[1]] = 0
+    a[: n[0]] = 1.0
+    return a[i[2]]
+
+
+@case((1, 0.5), (0, -1.0))
+def known_arrays(k: int, x: float) -> tuple[Any, ...]:
+    sizes = 0
+    for step in STEPS:
+        sizes += step
+    known = TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
+    places = STEPS[k], STEPS[k - 1], STEPS[-k], STEPS[k - 3], WHOLES[k]
+    return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], *places, *known
+
+
+@case((row(3),), (np.array([math.nan, 1.0, -0.0]),))
+def guarded_reads(a: Any) -> tuple[Any, ...]:
+    k = 0
+    while k < len(a) and a[k] != 1.0:
+        k += 1
+    found = a[k] if k < len(a) else -1.0
+    return k, found, k < 3 and a[k] > 0.0
+
+
+def ends(k: int) -> Any:
+    return slice(k, k + 2)
+
+
+@case((row(), square(), 1), (row(), square(), 3))
+def loops_over_entries(a: Any, b: Any, k: int) -> tuple[Any, ...]:
+    total, last = 0.0, 0.0
+    for value in a[ends(k)]:
+        if value > 2.0:
+            continue
+        total = 0.5 * total + value
+        value += 1.0
+    for line in b[:, ends(k)]:
+        line[0] = total
+        for value in line:
+            last = value
+            if value < 0.0:
+                break
+            total += value
+    for step in TABLE[1]:
+        total -= step
+    return total, last, len(a[slice(2)]), mean(a.reshape(1, -1)[0])
+
+
+@case((4,), (0,))
+def loop_variables(n: int) -> tuple[int, ...]:
+    total, k, j = 0, 7, 5
+    for k in range(n):  # noqa: B007
+        pass
+    for j in range(10, 0, -3):  # noqa: B007
+        pass
+    after = k, j
+    for i in range(n):
+        for j in range(i, n, 2):
+            if j == 3:
+                break
+            total += j
+        i += 10
+        total += i
+    return *after, total
+
+
+# Whole arrays, and memory that has two names
+
+
+@case((row(8),))
+def whole_arrays(a: Any) -> float:
+    b = a.copy()
+    b *= 2.0
+    b[:] += a * b - 1.0
+    b -= abs(a) + np.square(a)
+    a[:] = -b / 3.0
+    a[1:3] = (0.5, b[0])
+    a[:] = a * a[0]
+    a += a[0]
+    a /= a[7]
+    return mean(b) + mean(np.ones(3))
+
+
+def shift(x: Any, y: Any) -> None:
+    x[1:] = y[:-1]
+
+
+@case((row(8),), (row(9),))
+def overlapping(a: Any) -> None:
+    a[1:] = a[:-1]
+    a[:3] = a[1:4]
+    a[2:] = a[2:] + a[1:-1] * 2.0
+    a[:2] = a[3:5]
+    part = a[1:]
+    part[:] = a[:-1]
+    shift(a, a)
+    shift(a[:5], a[2:7])
+    shift(a[2:7], a[:5])
+
+
+@case((row(8), 2), (row(8), 5))
+def names_swapped(a: Any, k: int) -> tuple[Any, ...]:
+    left, right = a[:k], a[k:]
+    k += 2
+    left, right = right, left
+    left[0] = 1.0
+    b = np.ones(8)
+    old = a
+    a = b
+    b = old
+    a[0] = 5.0
+    b[1] = 6.0
+    return a[0], b[0], a[1], b[1], len(left), len(right), right[0], k
+
+
+@case((row(8), 1))
+def views_of_views(a: Any, k: int) -> tuple[Any, ...]:
+    a = b = a[k:]
+    a[0] = 9.0
+    inner = b[1:][1:][k:]
+    inner += 1.0
+    return b[0], a[1], len(b), inner[0], inner[-1], len(inner)
 
 
 @case((row(8), 3), (row(8), 7))
@@ -83,35 +245,14 @@ def one_function_of_many_shapes(a: Any, n: int) -> tuple[float, ...]:
 
 
 @case((row(8), 3, 6, -1.0), (row(8), 3, 6, 2.0))
-def length_chosen(a: Any, n: int, m: int, x: float) -> tuple[float, ...]:
-    part, known = a[:n], a[:3]
+def chosen_in_a_branch(a: Any, n: int, m: int, x: float) -> tuple[float, ...]:
+    part, known, inner, table = a[:n], a[:3], Inner(a, 2), Inner(TABLE[0], 2)
     if x > 0.0:
-        part, known = a[:m], a[2:7]
+        part, known, inner, table = a[:m], a[2:7], Inner(a[1:], 3), Inner(TABLE[0], 4)
     part = part[1:]
     view = a[1:3] if x > 0.0 else a[3:5]
     view[:] = a[2:4]
-    return mean(part), len(part), mean(known), len(known), view[0]
-
-
-@case((row(),))
-def whole_arrays(a: Any) -> float:
-    b = a.copy()
-    b *= 2.0
-    b[:] += a * b - 1.0
-    b -= abs(a) + np.square(a)
-    a[:] = -b / 3.0
-    a[1:3] = (0.5, b[0])
-    return mean(b) + mean(np.ones(3))
-
-
-@case((row(),), (row(9),))
-def overlapping(a: Any) -> None:
-    a[1:] = a[:-1]
-    a[:3] = a[1:4]
-    a[2:] = a[2:] + a[1:-1] * 2.0
-    a[:2] = a[3:5]
-    part = a[1:]
-    part[:] = a[:-1]
+    return mean(part), len(part), mean(known), len(known), view[0], inner.times, inner.row[0], table.times
 
 
 @case((3,), (0,))
@@ -127,8 +268,10 @@ def zeros_in_loops(n: int) -> float:
     return total
 
 
+# Calls and tuples
+
+
 def bumped(a: Any) -> float:
-    """Add one to the first element and return it."""
     a[0] += 1.0
     return a[0]
 
@@ -141,40 +284,7 @@ def read_before_calls(a: Any) -> tuple[float, ...]:
     return first, *both, a[0] * 2.0 - bumped(a) * a[0], max(a[0], bumped(a)), 1.0 if a[0] < bumped(a) else 2.0
 
 
-def next_place(counter: Any) -> int:
-    """Count on, and return the count before."""
-    counter[0] += 1
-    return counter[0] - 1
-
-
-@case((row(), np.zeros(1, INTEGERS)))
-def index_called_once(a: Any, counter: Any) -> None:
-    a[next_place(counter)] += 10.0
-    a[next_place(counter)] *= a[next_place(counter)]
-
-
-@case((np.array([1, -2, 3], INTEGERS), np.array([True, False, True]), 2.5))
-def other_types(wholes: Any, flags: Any, x: float) -> tuple[Any, ...]:
-    wholes[1] = int(x)
-    flags[1] = wholes[0] < x
-    wholes[0] //= 2
-    singles = np.zeros(2, np.float32)
-    singles[0] = 0.1
-    singles[1] = 2.0 * singles[0]
-    return wholes[1] / 2, singles[1] * 1.0, flags[0] and not flags[1], WHOLES[wholes[2] - 1] % 2
-
-
-@case((1, 0.5), (0, -1.0))
-def known_arrays(k: int, x: float) -> tuple[Any, ...]:
-    sizes = 0
-    for step in STEPS:
-        sizes += step
-    known = TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
-    return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], STEPS[k], WHOLES[k], *known
-
-
 def updated(memory: Memory, x: float) -> float:
-    """Write into all that there is."""
     memory.state[:] = x
     memory.inner.row[1] += memory.inner.times
     if memory.spare is not None:
@@ -202,25 +312,25 @@ def numbers_beside_arrays(a: Any, x: float, y: float) -> tuple[float, ...]:
     return before.spare, after.spare, before.inner.row[0], after.inner.row[0], after.inner.times, x, y
 
 
-class Workspace(NamedTuple):
-    """Two arrays."""
-
-    left: Any
-    right: Any
-
-
 def workspace(n: int) -> Workspace:
-    """Make a workspace."""
     return Workspace(np.zeros(n), np.empty((n, 2)))
 
 
-@case((2.0,), (-0.5,))
-def fresh_tuples(x: float) -> float:
-    work = workspace(3)
+def halves(x: float) -> Any:
+    made = np.full(3, 0.5)
+    made[1:] *= x
+    return made
+
+
+@case((row(3), 2.0), (row(3), -0.5))
+def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
+    first, second, work = halves(x), halves(a[2]), workspace(3)
+    a[:] = halves(3.0) + first
     work.right[:] = x
     work.right[2, 0] = 1.0
     work.left[:] = work.right[:, 0] * 3.0
-    return mean(work.left) + work.right[2, 1]
+    kinds = np.full(2, 3), np.full((2, 2), True)
+    return mean(first), mean(second), kinds[0][1] // 2, kinds[1][1, 0], mean(work.left) + work.right[2, 1]
 
 
 @case((Const(Workspace(TABLE[0], TABLE[1])), 1, 1.5))
@@ -230,53 +340,20 @@ def names_of_tables(design: Any, k: int, x: float) -> float:
     return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
 
 
-@case((row(3),), (np.array([math.nan, 1.0, -0.0]),))
-def guarded_reads(a: Any) -> tuple[Any, ...]:
-    k = 0
-    while k < len(a) and a[k] != 1.0:
-        k += 1
-    found = a[k] if k < len(a) else -1.0
-    return k, found, k < 3 and a[k] > 0.0
+# Types of numbers
 
 
-def halves(x: float) -> Any:
-    """Return a new array."""
-    made = np.full(3, 0.5)
-    made[1:] *= x
-    return made
-
-
-@case((row(3), 2.0))
-def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
-    first, second = halves(x), halves(a[2])
-    a[:] = halves(3.0) + first
-    kinds = np.full(2, 3), np.full((2, 2), True)
-    return mean(first), mean(second), kinds[0][1] // 2, kinds[1][1, 0]
-
-
-def ends(k: int) -> Any:
-    """Return a slice."""
-    return slice(k, k + 2)
-
-
-@case((row(), square(), 1), (row(), square(), 3))
-def loops_over_entries(a: Any, b: Any, k: int) -> tuple[Any, ...]:
-    total, last = 0.0, 0.0
-    for value in a[ends(k)]:
-        if value > 2.0:
-            continue
-        total = 0.5 * total + value
-        value += 1.0
-    for line in b[:, ends(k)]:
-        line[0] = total
-        for value in line:
-            last = value
-            if value < 0.0:
-                break
-            total += value
-    for step in TABLE[1]:
-        total -= step
-    return total, last, len(a[slice(2)]), mean(a.reshape(1, -1)[0])
+@case((wholes(1, -2, 3), np.array([True, False, True]), 2.7))
+def other_types(n: Any, flags: Any, x: float) -> tuple[Any, ...]:
+    n[1] = int(x)
+    flags[1] = n[0] < x
+    n[0] //= 2
+    n[0] += x
+    n[2:] = 0.9 * x
+    singles = np.zeros(2, np.float32)
+    singles[0] = 0.1
+    singles[1] = 2.0 * singles[0]
+    return n[1] / 2, singles[1] * 1.0, flags[0] and not flags[1], WHOLES[n[2] - 1] % 2
 
 
 @case((np.array([3, -128, 127, 5], np.int8), np.zeros(3, np.int8), 300))
@@ -303,13 +380,42 @@ def bits_of_wholes(a: int, b: int) -> tuple[int, ...]:
     return *pair, b >> 2, (a ^ 7) & b, a >> (b & 3)
 
 
-@case((np.zeros(2, INTEGERS),))
+@case(*itertools.product(FAR, (1, 2, -1, 3)))
+def beyond_32_bits(a: int, b: int) -> tuple[int, ...]:
+    total, count = a, 0
+    for k in range(20):
+        total = total * 2 + b * k
+        count += a
+    return a + b, a - b, a * b * 5, -a, abs(a), a // b, a % b, a // -b, a % -b, total % 1000003, count, a + 2147483647
+
+
+@case((wholes(2**62, -(2**63), 2**63 - 1, -1),))
+def wrapped(n: Any) -> tuple[bool, ...]:
+    a, b, c = n[0] + n[0], n[1] + n[3], n[2] * n[0]
+    return a < 0, b > 0, c == -n[0], -n[1] < 0, n[1] // n[3] < 0, abs(n[1]) < 0, n[1] - n[2] == 1
+
+
+@case((wholes(0, 0),))
 def shared_words(words: Any) -> tuple[int, ...]:
     before = add(words, 0, 3), add(words, 0, 4), add(words, 1, -2)
     add(words, 1, 10)
     return *before, look(words, 0), look(words, 1)
 
 
+@pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
     CASES.check(library, name, tmp_path)
+
+
+@pytest.mark.skipif(SANITISE in os.environ, reason="this is the process that the test starts")
+def test_within_memory():
+    """A kernel that reads or writes beyond an array, or computes what C leaves undefined, ends the process."""
+    asked = [*compiler().compiler, "-print-file-name=libasan.so"]
+    sanitiser = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+    if not os.path.isabs(sanitiser):
+        pytest.skip("the compiler has no sanitiser of addresses")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "kernel_in_c"]
+    environment = {**os.environ, SANITISE: "1", "LD_PRELOAD": sanitiser, "ASAN_OPTIONS": "detect_leaks=0"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]

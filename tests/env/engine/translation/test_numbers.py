@@ -32,12 +32,8 @@ case = CASES.case
 @case(*WHOLES)
 def whole_numbers(a: int, b: int) -> tuple[Any, ...]:
     divided = a / b, (a + 1) / b, 1 / b, a / 2 * b, 3 // b, a // 2, a % 3, 7 % b
-    return *divided, a // b, a % b, -a // b, a % -b, a - -b, a * b - a, abs(a), -a
-
-
-@case(*WHOLES)
-def whole_and_real(a: int, b: int) -> tuple[Any, ...]:
-    return a + 0.5 * b, a * 0.1, float(a) / b, 2.0 - a, max(a, 0.5), min(b, a), max(a, b, 1)
+    real = a + 0.5 * b, a * 0.1, float(a) / b, 2.0 - a, max(a, 0.5), min(b, a), max(a, b, 1)
+    return *divided, a // b, a % b, -a // b, a % -b, a - -b, a * b - a, abs(a), -a, *real
 
 
 @case(*FINITE)
@@ -46,8 +42,9 @@ def remainders(a: float, b: float) -> tuple[float, ...]:
 
 
 @case(*PAIRS)
-def largest_and_least(a: float, b: float) -> tuple[float, ...]:
-    return max(a, b), min(a, b), max(b, a), min(b, a), max(a, b, 0.0), min(0.0, a, b), abs(a), -b
+def compared(a: float, b: float) -> tuple[Any, ...]:
+    ends = max(a, b), min(a, b), max(b, a), min(b, a), max(a, b, 0.0), min(0.0, a, b), abs(a), -b, 1.0 if a else 2.0
+    return *ends, a < b, a <= b, a == b, a != b, not a < b, -1.0 < a < b, a < b < 1.0, -2.0 < a <= 0.5 * b < 5.0
 
 
 @case(*[(x,) for x in (0.0, 0.9, 1.0, 1.5, 2.5, 1e6 + 0.5, -0.9, -1.0, -1.5, -2.5)])
@@ -55,20 +52,17 @@ def rounded(x: float) -> tuple[Any, ...]:
     return int(x), math.floor(x), math.ceil(x), np.floor(x), np.ceil(x), int(abs(x)) % 2, float(int(x))
 
 
-@case(*[(x,) for x in (0.0, 2.0, 0.3, -1.7, 1e80)])
-def powers(x: float) -> tuple[float, ...]:
-    return x**2, math.sqrt(x**2), np.square(x), -(x**2), (-x) ** 2, (x + 1.0) ** 2
-
-
 def products(x: float) -> tuple[float, ...]:
-    """Return the powers as the products that they are in C."""
+    """Return powers above the second as the products that they are in C."""
     y = 0.1 * x
-    return x * x * x, (x * x) * (x * x), -x * -x * -x, (y * y) * (y * y)
+    squares = x**2, math.sqrt(x**2), np.square(x), -(x**2), (-x) ** 2, (x + 1.0) ** 2
+    return *squares, x * x * x, (x * x) * (x * x), -x * -x * -x, (y * y) * (y * y)
 
 
 @case(*[(x,) for x in (0.0, 2.0, 0.3, -1.7, 1e80)], reference=products)
-def higher_powers(x: float) -> tuple[float, ...]:
-    return x**3, x**4, (-x) ** 3, (0.1 * x) ** 4
+def powers(x: float) -> tuple[float, ...]:
+    squares = x**2, math.sqrt(x**2), np.square(x), -(x**2), (-x) ** 2, (x + 1.0) ** 2
+    return *squares, x**3, x**4, (-x) ** 3, (0.1 * x) ** 4
 
 
 @case(*[(x,) for x in REALS if x])  # of zero, np.sign in C keeps the sign, and in NumPy not
@@ -78,46 +72,29 @@ def signs(x: float) -> Any:
 
 def promoted(a: Any, b: float) -> tuple[Any, ...]:
     """Return what NumPy gives where a float32 that meets a Python number becomes a float64."""
-    step, wide = np.float32(0.1), np.float64(a)
+    step, wide, root = np.float32(0.1), np.float64(a), np.sqrt(abs(a))
     known = np.float64(step) * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, np.float64(step) / 3
-    return *known, wide + b, wide * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(wide * b) - a, wide * 3
+    functions = root, root * root, root * a, abs(a), -a, min(a, np.float32(b)), max(wide, b), np.floor(a * a), wide > b
+    both = wide + b, wide * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(wide * b) - a, wide * 3
+    return *known, *functions, *both
 
 
 @case(*SINGLES, reference=promoted)
 def single_precision(a: Any, b: float) -> tuple[Any, ...]:
-    step = np.float32(0.1)
+    step, root = np.float32(0.1), np.sqrt(abs(a))
     known = step * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, step / 3
-    return *known, a + b, a * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(a * b) - a, a * 3
-
-
-def promoted_functions(a: Any, b: float) -> tuple[Any, ...]:
-    """Return what NumPy gives where a float32 that meets a Python number becomes a float64."""
-    root, least, wide = np.sqrt(abs(a)), min(a, np.float32(b)), np.float64(a)
-    return root, root * root, root * a, abs(a), -a, least, max(wide, b), np.floor(a * a), wide > b
-
-
-@case(*SINGLES, reference=promoted_functions)
-def single_precision_functions(a: Any, b: float) -> tuple[Any, ...]:
-    root, least = np.sqrt(abs(a)), min(a, np.float32(b))
-    return root, root * root, math.sqrt(abs(a)) * a, abs(a), -a, least, max(a, b), np.floor(a * a), a > b
-
-
-@case(*PAIRS)
-def comparisons(a: float, b: float) -> tuple[bool, ...]:
-    return a < b, a <= b, a == b, a != b, not a < b, -1.0 < a < b, a < b < 1.0, -2.0 < a <= 0.5 * b < 5.0
+    roots = root, root * root, math.sqrt(abs(a)) * a
+    functions = *roots, abs(a), -a, min(a, np.float32(b)), max(a, b), np.floor(a * a), a > b
+    both = a + b, a * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(a * b) - a, a * 3
+    return *known, *functions, *both
 
 
 @case(*[(k, x) for k in (-2, 0, 3) for x in (-1.0, 0.0, 2.0)])
 def choices(k: int, x: float) -> tuple[Any, ...]:
-    many = (k > 0 and x > 0.0) or k < 0
-    return many, not many, (k == 3) | (x == 0.0), (k == 3) & (x > 0.0), 1.0 if many else x, k if x else -k
-
-
-@case(*[(k, x) for k in (-2, 0, 3) for x in (-1.0, 0.0, 2.0)])
-def bools_as_numbers(k: int, x: float) -> tuple[Any, ...]:
-    up = x > 0.0
+    many, up = (k > 0 and x > 0.0) or k < 0, x > 0.0
     found = 0 if k and (x or k) else 1
-    return found, int(up) + up, up * x, up + 1, up - k, max(up, k), k & 1, k | 4, bool(k), int(up), float(up)
+    numbers = found, int(up) + up, up * x, up + 1, up - k, max(up, k), k & 1, k | 4, bool(k), int(up), float(up)
+    return *numbers, many, not many, (k == 3) | (x == 0.0), (k == 3) & (x > 0.0), 1.0 if many else x, k if x else -k
 
 
 @case(*[(0.5,), (-3.0,)])
@@ -130,7 +107,18 @@ def known_numbers(x: float) -> tuple[Any, ...]:
 # Branches and loops
 
 
-@case(*[(x,) for x in (-1.0, 0.0, 0.5, 2.0, 3.0)])
+@case(*[(c, x) for c in (-1.0, 1.0) for x in (-1.0, 0.0, 0.5, 2.0, 3.0)])
+def branches(c: float, x: float) -> tuple[Any, ...]:
+    gain, kind = 1, 0
+    if c > 0.0:
+        gain = 2.5
+        kind = 1
+        other = x
+    else:
+        other = -1
+    return gain, kind, other, early_returns(x)
+
+
 def early_returns(x: float) -> float:
     if x < 0.0:
         return 0
@@ -143,7 +131,7 @@ def early_returns(x: float) -> float:
 
 @case(*[(n,) for n in range(5)])
 def counted(n: int) -> tuple[int, ...]:
-    up = down = steps = none = 0
+    up = down = steps = none = turns = 0
     for k in range(n):
         up = up * 3 + k
     for k in range(n, 0, -1):
@@ -152,28 +140,24 @@ def counted(n: int) -> tuple[int, ...]:
         steps = steps * 3 + k
     for k in range(2, n, 2):
         none += k
-    return up, down, steps, none
-
-
-@case(*[(n,) for n in range(5)])
-def end_changed_within(n: int) -> tuple[int, int]:
-    turns = 0
     for _ in range(n):
         n -= 1
         for _ in range(2):
             _, left = turns // 2, turns % 2
             turns += 1 + left
-    return turns, n
+    return up, down, steps, none, turns, n
 
 
 def halved(x: float) -> float:
-    """Return a half."""
     return x / 2.0 if x > 1.0 else 0.0
 
 
 @case(*[(x,) for x in (0.5, 3.0, 100.0)])
-def while_with_call(x: float) -> tuple[float, int]:
-    turns = 0
+def calls_where_asked(x: float) -> tuple[Any, ...]:
+    either = x > 50.0 or halved(x) > 1.0
+    both = x > 1.0 and halved(x) < 10.0 and halved(halved(x)) < 1.0
+    chosen = halved(x) if x > 1.0 else halved(-x) - 1.0
+    between, turns = 1.0 < halved(x) < x, 0
     while halved(x) > 0.3 and turns < 10:
         x = halved(x)
         turns += 1
@@ -184,42 +168,18 @@ def while_with_call(x: float) -> tuple[float, int]:
     while True:
         turns += 2
         if turns > x:
-            return x, turns
-
-
-@case(*[(x,) for x in (0.5, 3.0, 100.0)])
-def calls_where_asked(x: float) -> tuple[Any, ...]:
-    either = x > 50.0 or halved(x) > 1.0
-    both = x > 1.0 and halved(x) < 10.0 and halved(halved(x)) < 1.0
-    chosen = halved(x) if x > 1.0 else halved(-x) - 1.0
-    return either, both, chosen, 1.0 < halved(x) < x
-
-
-@case(*[(c, x) for c in (-1.0, 1.0) for x in (2.0, 3.0)])
-def set_in_branches(c: float, x: float) -> tuple[Any, ...]:
-    gain, kind = 1, 0
-    if c > 0.0:
-        gain = 2.5
-        kind = 1
-        other = x
-    else:
-        other = -1
-    return gain, kind, other
+            return x, turns, either, both, chosen, between
 
 
 # Tuples and calls
 
 
 class Pair(NamedTuple):
-    """Two numbers."""
-
     low: float
     high: float = 4.0
 
 
 class Range(NamedTuple):
-    """A pair, and how often."""
-
     pair: Pair
     times: int
     note: Any = None
@@ -239,14 +199,12 @@ def swapped(t_1: float, t_2: float) -> tuple[float, ...]:
 
 
 def ordered(a: float, b: float) -> Pair:
-    """Return numbers in order."""
     if a < b:
         return Pair(a, b)
     return Pair(b, a)
 
 
 def width(pair: Pair, factor: float = 2.0, *, shift: int = 0) -> float:
-    """Return the distance of numbers."""
     return factor * (pair.high - pair.low) + shift
 
 
@@ -262,14 +220,9 @@ def named_tuples(a: float, b: float) -> tuple[float, ...]:
 
 
 @case(*[(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])
-def tuples_taken(around: Range, x: float) -> tuple[float, ...]:
+def entries_of_tuples(around: Range, x: float) -> tuple[Any, ...]:
     chosen = around.pair if x > 1.0 else Pair(x, x)
     either = Pair(x, 1) if around.times > 1 else Pair(-1, x)
-    return chosen.low, width(chosen, 1.5), either.low, either.high, around.times
-
-
-@case(*[(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])
-def entries_one_by_one(around: Range, x: float) -> tuple[Any, ...]:
     k = 7
     pair = Pair(*(number * x for number in around.pair))
     turned = Pair._make(pair[1 - k] + k for k in range(len(Pair._fields)))
@@ -278,12 +231,10 @@ def entries_one_by_one(around: Range, x: float) -> tuple[Any, ...]:
         total += weights[place] * number
     for place, (low, high) in enumerate((pair, turned)):
         total = weights[place] * (total - low) + high
-    return *turned, *around[:1][0], total, k, len(around[1:])
+    return *turned, *around[:1][0], total, k, len(around[1:]), chosen.low, width(chosen, 1.5), *either, around.times
 
 
 def scaled_by(factor: float, pair: Pair) -> Kernel:
-    """Make a kernel that knows two things."""
-
     def scaled(x: float) -> float:
         return factor * x + pair.high
 
@@ -294,23 +245,17 @@ TWICE, THRICE = scaled_by(2.0, Pair(0.0)), scaled_by(3.0, Pair(0.0, 1.0))
 
 
 def product(pair: Pair, x: float) -> float:
-    """Return a product that knows the sign of zero."""
-    return pair.low * x
-
-
-@case(*[(1.0,), (-2.5,)])
-def closures(x: float) -> tuple[float, ...]:
-    return TWICE(x), THRICE(TWICE(x)), product(Pair(0.0, 1.0), x), product(Pair(-0.0, 1.0), x)
+    return pair.low * x  # which knows the sign of zero
 
 
 def doubled(x: Any) -> Any:
-    """Return twice a number, of its own type."""
-    return x + x
+    return x + x  # of its own type
 
 
-@case(*[(3, 0.1)])
-def called_with_types(n: int, x: float) -> tuple[Any, ...]:
-    return doubled(n) // 4, doubled(x), doubled(int(x > 0.0)) // 2, doubled(np.float64(n)) / 4
+@case(*[(3, 0.1), (-2, -2.5)])
+def functions_by_what_they_are_given(n: int, x: float) -> tuple[Any, ...]:
+    types = doubled(n) // 4, doubled(x), doubled(int(x > 0.0)) // 2, doubled(np.float64(n)) / 4
+    return *types, TWICE(x), THRICE(TWICE(x)), product(Pair(0.0, 1.0), x), product(Pair(-0.0, 1.0), x)
 
 
 ELEMENTARY: dict[Kernel, list[tuple[float, float]]] = {
@@ -337,11 +282,3 @@ def test_an_elementary_function_in_python_compiled_and_in_an_export(library: Tra
             assert_same(library, function.__name__, reference, arguments)
 
     check()
-
-
-def test_each_kernel_is_written_once(tmp_path: Path) -> None:
-    def both(x: float) -> float:
-        return halved(x) + halved(x + 1.0) + halved(3.0)
-
-    Translated(tmp_path, {"both": (both, (1.0,))})
-    assert (tmp_path / "kernels.c").read_text().count("static real k_halved") == 1

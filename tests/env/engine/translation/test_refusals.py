@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -43,6 +42,7 @@ def twice(x):
     return 2.0 * x
 """
 ROW, WHOLES = np.arange(3.0), np.array([1, 2])
+FRESH = "Pair(np.zeros(2), b)"
 CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     # words of the message; arguments a, b, c; lines of the kernel, `#` marking the one that is named
     (("a dict", "{'x': a}"), (1.0,), "known = {'x': a} #; return known['x']"),
@@ -62,7 +62,6 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     ((".sum is not", "a.sum"), (ROW,), "return a.sum() #"),
     (("MatMult",), (ROW,), "return a @ a #"),
     (("slices with a step", "::2"), (ROW,), "part = a[::2] #; return part[0]"),
-    (("slices with a step",), (ROW,), "part = a[slice(0, 3, 2)] #; return part[0]"),
     (("which the program computes", "known lengths"), (ROW, 2), "a[:b] = a[1:] #"),
     (("unknown name 'missing'",), (1.0,), "return missing(a) #"),
     (("kernel calls itself",), (1.0,), "return kernel(a - 1.0) if a > 0.0 else a #"),
@@ -70,32 +69,24 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("1024 numbers", "stack"), (1.0,), "work = np.zeros((32, 32)) #; return work[0, 0] + a"),
     (("has to be known",), (3,), "work = np.zeros(a + HUGE // HUGE); return work[0]"),
     (("kind changes its type",), (ROW, 1.0), "kind = b; if b > 0.0:;     kind = a #; return kind"),
-    (
-        ("made keeps an array",),
-        (3,),
-        "made = np.zeros(2); for _ in range(a):;     made = np.zeros(2) #; return made[0]",
-    ),
+    (("keeps an array",), (3,), "made = np.zeros(2); for _ in range(a):;     made = np.zeros(2) #; return made[0]"),
     (
         ("loop allocates",),
         (ROW, 3),
-        "last = Pair(np.zeros(2), 1); for k in range(b):;     now = Pair(np.zeros(2), k); "
-        "    now.low[0] = last.low[0] + a[k];     last = now; return last.low[0]",
+        f"last = {FRESH}; for k in range(b):;     new = {FRESH};     last = new; return 1",
     ),
     (("made must be written into an array",), (ROW,), "made = 2.0 * a #; return made[0]"),
     (("one shape", "(3,)", "(2,)"), (ROW,), "a[:2] = a + a[:2] #"),
     (("shape (2,)", "(3,)"), (ROW,), "a[:2] = a #"),
     (("shape",), (ROW, 1, 2), "a[:b] = a[:c]; return a[0]"),
     (("an array of shape",), (ROW,), "a[0:3] = (1.0, 2.0); return a[2]"),
-    (("an array of shape",), (1.0,), "square = np.zeros((3, 3)); square[:] = (1.0, 2.0, a); return square[0, 1]"),
     (("index 3 is outside",), (ROW,), "return a[3] #"),
-    (("index -4 is outside",), (ROW,), "a[-4] = 1.0 #"),
     (("IndexError", "index 5"), (1.0,), "return TABLE[5] * a #"),
     (("2 indices", "1 axes"), (ROW,), "return a[0, 1] #"),
     (("a whole number",), (ROW, 1.0), "return a[b] #"),
     (("constant", "table[0]"), (1.0,), "table = TABLE; table[0] = a #"),
     (("9223372036854775808",), (3,), "return a + HUGE #"),
     (("powers", "0.5"), (1.0,), "return a**0.5 #"),
-    (("powers",), (3,), "return a**2 #"),
     (("ZeroDivisionError",), (1.0,), "return a + 1 // 0 #"),
     (("3 arguments for 2 parameters",), (1.0,), "return Pair(a, a, a).low #"),
     (("'high' is missing",), (1.0,), "return Pair(a).low #"),
@@ -115,25 +106,18 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("Div", "uint64"), (WHOLES.astype(np.uint64),), "return a[0] / a[1] #"),
     (("two bools",), (np.array([True, True]),), "return a[0] + a[1]"),
     (("LShift",), (3,), "return a << 2"),
-    (
-        ("take two names",),
-        (3,),
-        "last = None; for _ in range(a):;     last = 2.0 if last is None else last * 2.0; return last",
-    ),
-    (("take two names",), (1.0,), "f = abs; if a > 0.0:;     f = twice; return f(a)"),
-    (
-        ("take two names",),
-        (1.0,),
-        "f = bumped; for _ in range(3):;     if a > 0.0:;         f = twice;         break; return f(a)",
-    ),
+    (("take two names",), (3,), "x = None; for _ in range(a):;     x = 2.0 if x is None else x * 2.0; return x"),
+    (("take two names",), (1.0,), "f = bumped; for _ in range(3):;     if a > 0.0:;         f = twice; return f(a)"),
     (("take two names",), (1.0,), "word = 'one'; if a > 0.0:;     word = 'two'; return 1.0 if word == 'one' else 2.0"),
     (("return on all ways",), (1.0,), "if a > 0.0:;     return 1.0"),
     (("chain",), (ROW,), "return 5.0 < a[0] < bumped(a)"),
 ]
 
 
-def kernel_of(text: str, count: int, path: Path) -> tuple[ModuleType, int]:
-    """Write a kernel into a module of its own; return it, and the number of the line that is marked, or 0."""
+@pytest.mark.parametrize("number", range(len(CASES)), ids=lambda number: CASES[number][0][0])
+def test_refused(number: int, tmp_path: Path):
+    words, given, text = CASES[number]
+    count, path = len(given), tmp_path / f"refused_{number}.py"
     head = f"{HEAD}\ndef kernel({', '.join('abc'[:count])}):\n"
     lines = [f"    {line.removeprefix(' ')}" for line in text.split(";")]
     path.write_text(head + "\n".join(lines) + "\n")
@@ -141,19 +125,7 @@ def kernel_of(text: str, count: int, path: Path) -> tuple[ModuleType, int]:
     assert spec is not None and spec.loader is not None
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    marked = [k for k, line in enumerate(lines) if line.endswith("#")]
-    return module, head.count("\n") + 1 + marked[0] if marked else 0
-
-
-@pytest.mark.parametrize("number", range(len(CASES)), ids=lambda number: CASES[number][0][0])
-def test_refused(number: int, tmp_path: Path):
-    words, given, text = CASES[number]
-    module, line = kernel_of(text, len(given), tmp_path / f"refused_{number}.py")
-    place = [f"(in kernel, refused_{number}.py, line {line})"] if line else []
+    first = head.count("\n") + 1
+    marked = [k for k, line in enumerate(lines, first) if line.endswith("#")]
+    place = [f"(in kernel, {path.name}, line {line})" for line in marked]
     refused((TranslationError, NotConstantError), (*words, *place), lambda: translate(module.kernel, given, Program()))
-
-
-def test_a_function_without_source():
-    made: dict[str, Any] = {}
-    exec(compile("def made(x): return x", "<made>", "exec"), made)  # Python 3.13 knows a text of "<string>": that of -c
-    refused(TranslationError, ("made",), lambda: translate(made["made"], (1.0,), Program()))
