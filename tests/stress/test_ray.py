@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from side_by_side import InWorkers, Place, square
-from trainings import TINY, weights
+from trainings import weights
 
 from agents.learners.ppo import PpoConfig
 from agents.policy.bundle import read_spec
@@ -74,6 +74,7 @@ class Own:
 
 
 def test_a_comparison_is_the_same_on_ray_on_one_machine(tmp_path: Path):
+    """With a policy and a user's own controller."""
     (tmp_path / "own").mkdir()
     (tmp_path / "own/near_the_policy.py").write_text("GAIN = 0.1\n")
     (tmp_path / "own/own.py").write_text(OWN)
@@ -93,8 +94,11 @@ def test_a_comparison_is_the_same_on_ray_on_one_machine(tmp_path: Path):
     assert not moved.startswith(str(tmp_path / "own")) and moved.endswith("own.py:Own"), "where its files are not"
 
 
+FEW = "--total-steps 256 --validation-every 128 --arms 8 --rollout-steps 16 --batch-size 64 --validation-arms 4".split()
+
+
 def train(monkeypatch: pytest.MonkeyPatch, config: type[PpoConfig], *options: object) -> None:
-    monkeypatch.setattr(sys, "argv", ["train/ppo.py", *map(str, [*options, *TINY])])
+    monkeypatch.setattr(sys, "argv", ["train/ppo.py", *map(str, [*options, *FEW])])
     main(config, None)
 
 
