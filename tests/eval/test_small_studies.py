@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from agents.observer.quantities import NAMES
 from agents.policy.bundle import POLICIES, annotate
 from agents.residual.bases import make_base
 from baselines import PaperController
-from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
@@ -29,9 +27,9 @@ from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
 from eval.studies.iterative import repeated
-from eval.studies.observers import Score, score, scores_of, watchers
+from eval.studies.observers import score, scores_of, watchers
 from eval.studies.presliding import CLEAN, ELEMENT, LUGRE, check, verdicts
-from eval.studies.sensors import TIERS, Outcome, outcome
+from eval.studies.sensors import TIERS, outcome
 
 SEED = 4_200_000
 
@@ -42,17 +40,15 @@ SEED = 4_200_000
 def test_arms_have_the_effects_asked_for_and_no_others(name: str):
     env = BeltArmVectorEnv(6, randomization="train")
     env.reset(seed=3)
-    drawn = env.params_table
+    drawn, columns = env.params_table, {getattr(COLUMN, field): field for field in DRIVE_EFFECTS}
     np.testing.assert_array_equal(with_effect(drawn, ALL, 0.0), with_effect(drawn, IDEAL, 1.0))
     for size in (0.5, 2.0):
         arms = with_effect(drawn, name, size)
-        for field in DRIVE_EFFECTS:
-            column = getattr(COLUMN, field)
+        for column, field in columns.items():
             end = size * DRIVE_RANGES[field][1] if name in (field, ALL) and field in EFFECTS else 0.0
             np.testing.assert_allclose(np.abs(arms[:, column]), end)
             assert (arms[:, column] * drawn[:, column] >= 0).all(), "signs are those drawn"
-        others = [k for k in range(arms.shape[1]) if k not in [getattr(COLUMN, field) for field in DRIVE_EFFECTS]]
-        np.testing.assert_array_equal(arms[:, others], drawn[:, others])
+        np.testing.assert_array_equal(np.delete(arms, [*columns], 1), np.delete(drawn, [*columns], 1))
         assert all(ArmParams.from_row(row) for row in arms), "twice the ranges are within the bounds"
 
 
@@ -60,24 +56,21 @@ def test_arms_have_the_effects_asked_for_and_no_others(name: str):
     ("config", "kind"), [({"randomization": "ideal"}, "ideal"), ({"randomization": "train"}, "train"), ({}, "unknown")]
 )
 def test_training_is_read_from_the_policies_and_told_apart(config: dict[str, Any], kind: str, tmp_path: Path):
-    folder = tmp_path / "other"
-    shutil.copytree(POLICIES / "ppo/seed0", folder)
-    annotate(folder, config=config)
+    shutil.copytree(POLICIES / "ppo/seed0", tmp_path / "other")
+    annotate(tmp_path / "other", config=config)
     (method,) = shipped_methods(["ppo"])
-    trained = drive.trained_on([replace(method, sources=(str(folder),))])
+    trained = drive.trained_on([replace(method, sources=(str(tmp_path / "other"),))])
     assert trained == {"ppo": kind} and drive.trained_on(shipped_methods(["paper"])) == {}
     data = _frame.read_data(_frame.RESULTS / "drive")
-    none, told = (_frame.text_of("drive", drive, data | {"trained": known}) for known in ({}, trained))
-    assert none != told
+    assert len({_frame.text_of("drive", drive, data | {"trained": known}) for known in ({}, trained)}) == 2
 
 
 # Guard
 
 
 def test_a_faulty_arm_that_leaves_changes_nothing_for_the_others():
-    few, many = (
-        record(PaperController(), FaultyArms(arms, "sign error", randomization="train"), seed=5) for arms in (2, 8)
-    )
+    arms = [FaultyArms(count, "sign error", randomization="train") for count in (2, 8)]
+    few, many = (record(PaperController(), each, seed=5) for each in arms)
     assert not many.finished[2:].all()
     np.testing.assert_array_equal(few.state, many.state[:, :2])
     with pytest.raises(ValueError, match="'rust'"):
@@ -121,17 +114,12 @@ def test_shipped_observers_fit_a_motors_processor():
         assert 4 * sum(value.numel() for value in observer.parameters()) <= 50_000
 
 
-@pytest.fixture(scope="module")
-def scores() -> dict[str, Score]:
-    """Scores on arms that no observer was fitted to."""
+def test_observers_correct_the_filter_and_know_how_well():
+    """On arms that no observer was fitted to; 32 are too few for their constants to tell much more."""
     run = rollout(make_base("adaptive"), 32, seed=VALIDATION.first, randomization="train")
     seeds = VALIDATION.first + np.arange(32)
     split = Split("fresh", "validation", seeds, {}, run.params[None], run.moves[None], np.zeros(32), "")
-    return scores_of("adaptive", watchers(), split, 32)
-
-
-def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]):
-    """On average over the quantities; 32 arms are too few for their constants to tell much more."""
+    scores = scores_of("adaptive", watchers(), split, 32)
     corrected, known = scores["learned on the filter"], scores["filter"]
     ratio, torsion = dict(zip(NAMES, corrected.rms / known.rms, strict=True)), NAMES.index("torsion")
     assert max(ratio.values()) < 1.03 and ratio["belt_stiffness"] < 1
@@ -166,21 +154,8 @@ def test_the_answer_follows_an_order_that_turns():
 # Sensors
 
 
-@cache
-def both(name: str) -> tuple[Outcome, Outcome]:
-    split = development_set().splits["randomized"]
-    without, with_it = (outcome(name, tier, split, 16) for tier in TIERS)
-    return without, with_it
-
-
-@pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
-def test_a_filter_with_the_accelerometer_knows_the_torsion_better(name: str, most: float):
-    without, with_it = both(name)
-    assert with_it.torsion < most * without.torsion
-
-
-@pytest.mark.parametrize("name", WITH_ACCELEROMETER)
-def test_with_the_accelerometer_the_arm_vibrates_less(name: str):
-    without, with_it = (result.metrics for result in both(name))
-    assert np.median(with_it["cost"] - without["cost"]) < 0
-    assert with_it["residual_pp_mm"].mean() < 0.9 * without["residual_pp_mm"].mean()
+def test_with_the_accelerometer_the_filter_knows_the_torsion_better_and_the_arm_vibrates_less():
+    without, with_it = (outcome("preview", tier, development_set().splits["randomized"], 16) for tier in TIERS)
+    assert with_it.torsion < 0.6 * without.torsion
+    assert np.median(with_it.metrics["cost"] - without.metrics["cost"]) < 0
+    assert with_it.metrics["residual_pp_mm"].mean() < 0.9 * without.metrics["residual_pp_mm"].mean()
