@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -140,11 +139,10 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
 
 def test_outdated_parts_are_taken_away_and_none_of_unknown_identity_is_kept(tmp_path: Path):
     old, unknown = (replace(part(), method=replace(part().method, identity=name)) for name in ("before", None))
-    fresh = replace(part(), split=fresh_set(0).splits["nominal"])
-    for each in (old, part(episodes=5), fresh, part(), unknown):
+    kept = (part(episodes=5), replace(part(), split=fresh_set(0).splits["nominal"]), part())
+    for each in (old, *kept, unknown):
         assert isinstance(run_parts([each], tmp_path, 1)[0], dict)
-    names = {path.name for path in (tmp_path / "parts").iterdir()}
-    assert names == {each.file(tmp_path).name for each in (part(), part(episodes=5), fresh)}
+    assert {path.name for path in (tmp_path / "parts").iterdir()} == {each.file(tmp_path).name for each in kept}
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -162,9 +160,6 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ran.pop()
     run_parts(several, tmp_path, 1)
     assert len(ran) == len(set(ran)) == 2 and cache.kept_count(several, tmp_path) == 3
-
-
-# What goes wrong
 
 
 RAISES = """
@@ -185,9 +180,6 @@ def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     assert errors.splitlines()[-1].startswith("eval/compare.py: no method could be run: Raises on nominal")
 
 
-# Which methods
-
-
 def test_dominated_methods_run_where_they_are_named():
     for name, better in DOMINATED.items():
         assert better in {*CONTROLLERS} - {*DOMINATED}
@@ -201,31 +193,21 @@ def bundle(folder: Path, base: str = "paper") -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    ("chosen", "options", "names"),
-    [
-        (("adaptive",), {"policies": 1, "added": 1}, ["adaptive", "my-ppo", "Raises"]),
-        (("adaptive", "Raises"), {"added": 1}, ["adaptive", "Raises"]),
-        (("privileged",), {"added": 1}, ["Raises", "privileged"]),
-        (("lqg",), {"policies": 1, "guard": True}, ["lqg", "lqg+guard", "my-ppo", "my-ppo+guard"]),
-    ],
-)
-def test_what_was_asked_for_runs_whatever_else_is_named(
-    chosen: tuple[str, ...], options: dict[str, Any], names: list[str], tmp_path: Path
-):
-    """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
-    (tmp_path / "mine.py").write_text(RAISES)
-    given = {"policies": (bundle(tmp_path / "a"),), "added": (f"{tmp_path}/mine.py:Raises",), "guard": True}
-    found = choose_methods(chosen, **{name: given[name] for name in options})
-    assert [method.name for method in found] == names
-
-
 def test_policies_are_grouped_by_method(tmp_path: Path):
+    """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
     folders: list[Path | str] = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
     methods = learned_methods([*folders, *(f"tried={folder}" for folder in folders[::2])])
     found = [(method.name, method.base, len(method.sources)) for method in methods]
     assert found == [("my-ppo", "paper", 2), ("my-ppo-preview", "preview", 1), ("tried", "paper", 2)]
     assert methods[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
+    (tmp_path / "mine.py").write_text(RAISES)
+    added = (f"{tmp_path}/mine.py:Raises",)
+    for chosen, guard, names in (
+        (("adaptive",), False, ["adaptive", "my-ppo", "Raises"]),
+        (("lqg", "privileged"), True, ["lqg", "lqg+guard", "my-ppo", "my-ppo+guard", "Raises", "privileged"]),
+    ):
+        methods = choose_methods(chosen, folders[:1], added, guard=guard)
+        assert [method.name for method in methods] == names
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -255,13 +237,9 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
         assert read_results(out / "results.json")["provenance"]["pairs_kept_before"] == kept
 
 
-# Mistakes
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("--policy", "nowhere"), "nowhere"),
         (("--policy", "runs/model.zip"), "runs/model.zip"),
         (("--episodes", "2"), "--episodes"),
         (("--episodes", "501"), "--scenario-seed"),
@@ -298,9 +276,6 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(cache, "write_arrays", Mock(side_effect=OSError(28, "No space left on device")))
     arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     assert "No space left on device" in mistake(compare.main, arguments, tmp_path)
-
-
-# Sensitive episodes
 
 
 def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):

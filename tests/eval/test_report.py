@@ -29,8 +29,6 @@ from eval.report.recordings import Scene, loaded, record, record_scenes
 from eval.report.table import Results, to_markdown
 from eval.studies._frame import text_of
 
-# The page
-
 
 def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
     costs = {"pid": (100.0, 900.0), "lqg": (300.0, 500.0), "flat": (200.0, 700.0)}
@@ -54,17 +52,13 @@ def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
 
 
 def test_every_medium_marks_the_same():
-    comparison = made(
-        outcome("pid", "classical", 100.0),
-        outcome("net", "learned", 100.0, spread=4.0),
-        outcome("bad", "classical", 400.0),
-        outcome("privileged", "privileged", 1.0),
-    )
-    marks = comparison.marks["nominal"]["cost"]
+    methods = [outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=4.0)]
+    methods += [outcome("bad", "classical", 400.0), outcome("privileged", "privileged", 1.0)]
+    comparison = made(*methods)
+    marks, content = comparison.marks["nominal"]["cost"], content_of(comparison)
     assert sorted(marks.values()) == ["best", "tie"] and not {"bad", "privileged"} & {*marks}
-    table = Results(content_of(comparison)).across_splits("cost")
-    lines = {line.split("|")[1].strip(" *"): line for line in to_markdown(table).splitlines()[2:]}
-    shown = render(content_of(comparison))
+    table, shown = to_markdown(Results(content).across_splits("cost")), render(content)
+    lines = {line.split("|")[1].strip(" *"): line for line in table.splitlines()[2:]}
     for name in ("pid", "net", "bad"):
         wanted = (marks.get(name) == "best", marks.get(name) == "tie")
         assert ("**" in lines[name], "<ins>" in lines[name]) == wanted
@@ -77,9 +71,6 @@ def test_paths_do_not_reach_the_page(folder: str):
     command = shlex.join(["python", "eval/compare.py", "--out", f"{folder}a b/out", f"--add={folder}a/mine.py:Mine"])
     assert without_paths(command) == "python eval/compare.py --out …/out --add=…/mine.py:Mine"
     assert without_paths("python eval/compare.py --policy runs/ppo/best").endswith(" runs/ppo/best")
-
-
-# Motions
 
 
 def ringing(hertz: float, amplitude: float, lateral: float) -> Recording:

@@ -20,16 +20,13 @@ from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.seeds import VALIDATION
 from eval.comparison.rollouts import shipped_methods
-from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
 from eval.studies import _frame, drive, presliding
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
-from eval.studies.iterative import repeated
 from eval.studies.observers import score, scores_of, watchers
-from eval.studies.presliding import CLEAN, ELEMENT, LUGRE, check, verdicts
-from eval.studies.sensors import TIERS, outcome
+from eval.studies.presliding import CLEAN, verdicts
 
 SEED = 4_200_000
 
@@ -86,16 +83,6 @@ def test_a_classical_controller_is_its_own_base_and_has_no_weights():
     assert worse_measures(row | worse) == ["peak", "left"]
 
 
-# Repeated moves
-
-
-def test_textbook_learning_moves_the_motor_and_not_the_tip():
-    runs = repeated(6, 4, seed=SEED, randomization="ideal")
-    motor = [run["motor_rms_mrad"].mean() for run in runs]
-    assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
-    assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
-
-
 # Observers
 
 
@@ -110,8 +97,7 @@ def test_scores_of_errors_that_are_known():
 
 def test_shipped_observers_fit_a_motors_processor():
     for path in SHIPPED.iterdir():
-        observer, _ = load_observer(path)
-        assert 4 * sum(value.numel() for value in observer.parameters()) <= 50_000
+        assert sum(value.numel() for value in load_observer(path)[0].parameters()) <= 12_500
 
 
 def test_observers_correct_the_filter_and_know_how_well():
@@ -131,17 +117,10 @@ def test_observers_correct_the_filter_and_know_how_well():
 # Presliding
 
 
-@pytest.mark.parametrize("model", [ELEMENT, LUGRE])
-def test_a_clean_stick_is_the_limit_of_a_motor_that_gives_little_in_closed_loop(model: str):
-    soft, stiff = check(model, 3.0, 4), check(model, 0.1, 4)
-    assert stiff["tip"] < 0.5 * soft["tip"]
-    assert all(stiff["costs"][name] < 0.6 * soft["costs"][name] for name in soft["costs"])
-
-
 def test_the_answer_follows_an_order_that_turns():
     rng = np.random.default_rng(0)
-    values = {("a", CLEAN): rng.uniform(1, 2, (1, 30)), ("b", CLEAN): rng.uniform(3, 4, (1, 30))}
-    values |= {("a", "1 mrad"): values["b", CLEAN], ("b", "1 mrad"): values["a", CLEAN]}
+    low, high = rng.uniform(1, 2, (1, 30)), rng.uniform(3, 4, (1, 30))
+    values = {("a", CLEAN): low, ("b", CLEAN): high, ("a", "1 mrad"): high, ("b", "1 mrad"): low}
     assert verdicts(values, ("a", "b"), CLEAN) == {("a", "b"): "better"}
     assert verdicts(values, ("a", "b"), "1 mrad") == {("a", "b"): "worse"}
     data, pages = _frame.read_data(_frame.RESULTS / "presliding"), set()
@@ -149,13 +128,3 @@ def test_the_answer_follows_an_order_that_turns():
         changed = data | {"arms": arms, "pairs": [pair | {"reversed": turned} for pair in data["pairs"]]}
         pages.add(_frame.text_of("presliding", presliding, changed))
     assert len(pages) == 3, "reversed, not reversed, too few arms"
-
-
-# Sensors
-
-
-def test_with_the_accelerometer_the_filter_knows_the_torsion_better_and_the_arm_vibrates_less():
-    without, with_it = (outcome("preview", tier, development_set().splits["randomized"], 16) for tier in TIERS)
-    assert with_it.torsion < 0.6 * without.torsion
-    assert np.median(with_it.metrics["cost"] - without.metrics["cost"]) < 0
-    assert with_it.metrics["residual_pp_mm"].mean() < 0.9 * without.metrics["residual_pp_mm"].mean()
