@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -67,9 +68,8 @@ def test_parts_of_many_scenarios_are_the_batch_bit_for_bit(tmp_path: Path, monke
     cut = parts_of(whole.method, whole.split, 11)
     assert [(each.first, each.count) for each in cut] == [(0, 4), (4, 4), (8, 3)]
     results = [result for result in run_parts(cut, tmp_path, 1) if isinstance(result, dict)]
-    for name, table in measure(whole).items():
-        assert np.array_equal(np.concatenate([result[name] for result in results], 1), table)
-    assert cache.kept_count(cut, tmp_path) == 3
+    joined = {name: np.concatenate([result[name] for result in results], 1) for name in results[0]}
+    assert_same([joined], [measure(whole)])
 
 
 class Picky(PaperController):
@@ -85,15 +85,15 @@ class Picky(PaperController):
 
 def test_a_controller_that_fails_on_a_split_does_so_there_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     several = [part(split=split) for split in ("nominal", "drive", "payload")]
-    expected = [measure(single) for single in several]
-    env = BeltArmVectorEnv(1)
-    first = env.reset(options={"move": dict(zip(MOVE_FIELDS, several[1].split.moves[0], strict=True))})[0]
+    expected = [measure(several[0]), measure(several[2])]
+    start = dict(zip(MOVE_FIELDS, several[1].split.moves[0], strict=True))
+    first = BeltArmVectorEnv(1).reset(options={"move": start})[0]
     monkeypatch.setattr(Picky, "start", first[0, index("start")])
     monkeypatch.setitem(CONTROLLERS, "paper", Picky)
     done: list[tuple[int, int]] = []
     nominal, drive, payload = run_parts(several, tmp_path, 1, lambda *news: done.append(news))
     assert isinstance(drive, Failure) and drive.split == "drive" and "ValueError: not this arm" in drive.message
-    assert_same([nominal, payload], [expected[0], expected[2]])
+    assert_same([nominal, payload], expected)
     assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert [read_kept(single, tmp_path) is not None for single in several] == [True, False, True]
 
@@ -123,8 +123,7 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
 
 def test_damaged_parts_are_run_again(tmp_path: Path):
     """With any bit changed, cut off anywhere, or with other numbers that somebody wrote."""
-    measured = run_parts([part()], tmp_path, 1)
-    path = part().file(tmp_path)
+    (measured,), path = run_parts([part()], tmp_path, 1), part().file(tmp_path)
     sound = path.read_bytes()
     directory = sound.index(b"PK\1\2")  # where the reader of archives raises what it likes
     damaged = [b"", b"half", sound[:-200]]
@@ -133,18 +132,17 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
     for data in damaged:
         path.write_bytes(data)
         assert read_kept(part(), tmp_path) is None and not path.exists()
-    assert isinstance(measured[0], dict)
-    np.savez(path, allow_pickle=False, **{**measured[0], "cost": 0.5 * measured[0]["cost"]})
-    assert_same(run_parts([part()], tmp_path, 1), measured)
+    assert isinstance(measured, dict)
+    np.savez(path, allow_pickle=False, **{**measured, "cost": 0.5 * measured["cost"]})
+    assert_same(run_parts([part()], tmp_path, 1), [measured])
 
 
 def test_outdated_parts_are_taken_away_and_none_of_unknown_identity_is_kept(tmp_path: Path):
     old, unknown = (replace(part(), method=replace(part().method, identity=name)) for name in ("before", None))
-    fresh = replace(part(), split=fresh_set(0).splits["nominal"])
-    for each in (old, part(episodes=5), fresh, part(), unknown):
+    kept = (part(episodes=5), replace(part(), split=fresh_set(0).splits["nominal"]), part())
+    for each in (old, *kept, unknown):
         assert isinstance(run_parts([each], tmp_path, 1)[0], dict)
-    names = {path.name for path in (tmp_path / "parts").iterdir()}
-    assert names == {each.file(tmp_path).name for each in (part(), part(episodes=5), fresh)}
+    assert {path.name for path in (tmp_path / "parts").iterdir()} == {each.file(tmp_path).name for each in kept}
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -164,51 +162,29 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(ran) == len(set(ran)) == 2 and cache.kept_count(several, tmp_path) == 3
 
 
-# What goes wrong
-
-
-FAILING = """
-import numpy as np
-
-class Sound:
-    def fail(self):
-        pass
+RAISES = """
+class Raises:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        state = 0 if state is None else state + 1
         if len(observation) == 7:
-            self.fail()
-        return np.zeros((len(observation), 1), np.float32), state
-
-class Raises(Sound):
-    def fail(self):
-        raise RuntimeError("no such\\nnumber of arms")
+            raise RuntimeError("no such\\nnumber of arms")
+        return observation[:, :1] * 0, 0
 """
 
 
-@pytest.fixture
-def failing(tmp_path: Path) -> Path:
-    (tmp_path / "mine.py").write_text(FAILING)
-    return tmp_path
-
-
-def test_a_failure_can_be_shown_with_its_whole_traceback(failing: Path):
+def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     """Where it is the only method's, and nothing is left to compare."""
+    (tmp_path / "mine.py").write_text(RAISES)
     options = ("--methods", "Raises", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--traceback")
-    code, errors = stopped(compare.main, ("--add", "mine.py:Raises", *options, "--out", "out"), failing)
-    assert code == 2 and "Traceback (most recent call last):" in errors
-    assert f'File "{failing}/mine.py", line 15, in fail\n    raise RuntimeError' in errors
+    code, errors = stopped(compare.main, ("--add", "mine.py:Raises", *options, "--out", "out"), tmp_path)
+    assert code == 2 and f'File "{tmp_path}/mine.py", line 5, in predict\n    raise RuntimeError' in errors
     assert errors.splitlines()[-1].startswith("eval/compare.py: no method could be run: Raises on nominal")
-
-
-# Which methods
 
 
 def test_dominated_methods_run_where_they_are_named():
     for name, better in DOMINATED.items():
-        assert name in CONTROLLERS and better in {*CONTROLLERS} - {*DOMINATED}
+        assert better in {*CONTROLLERS} - {*DOMINATED}
         assert [method.name for method in choose_methods((name, "paper"))] == ["paper", name]
-    default = [method.name for method in choose_methods(())]
-    assert default[:2] == ["paper", "rigid"] and not {*DOMINATED} & {*default}
+    assert not {*DOMINATED} & {method.name for method in choose_methods(())}
 
 
 def bundle(folder: Path, base: str = "paper") -> Path:
@@ -217,27 +193,21 @@ def bundle(folder: Path, base: str = "paper") -> Path:
     return folder
 
 
-def test_what_was_asked_for_runs_whatever_else_is_named(failing: Path):
-    """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
-    added, policies = (f"{failing}/mine.py:Sound",), (bundle(failing / "a"),)
-    assert [method.name for method in choose_methods(("adaptive",), policies, added)] == ["adaptive", "my-ppo", "Sound"]
-    assert [method.name for method in choose_methods(("adaptive", "Sound"), added=added)] == ["adaptive", "Sound"]
-    assert [method.name for method in choose_methods(("privileged",), added=added)] == ["Sound", "privileged"]
-    assert [method.name for method in choose_methods(("lqg",), policies, guard=True)] == [
-        *("lqg", "lqg+guard", "my-ppo", "my-ppo+guard")
-    ]
-
-
 def test_policies_are_grouped_by_method(tmp_path: Path):
+    """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
     folders: list[Path | str] = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
-    folders += [f"tried={folder}" for folder in folders[::2]]
-    methods = learned_methods(folders)
-    assert [(method.name, method.base, len(method.sources)) for method in methods] == [
-        ("my-ppo", "paper", 2),
-        ("my-ppo-preview", "preview", 1),
-        ("tried", "paper", 2),
-    ]
+    methods = learned_methods([*folders, *(f"tried={folder}" for folder in folders[::2])])
+    found = [(method.name, method.base, len(method.sources)) for method in methods]
+    assert found == [("my-ppo", "paper", 2), ("my-ppo-preview", "preview", 1), ("tried", "paper", 2)]
     assert methods[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
+    (tmp_path / "mine.py").write_text(RAISES)
+    added = (f"{tmp_path}/mine.py:Raises",)
+    for chosen, guard, names in (
+        (("adaptive",), False, ["adaptive", "my-ppo", "Raises"]),
+        (("lqg", "privileged"), True, ["lqg", "lqg+guard", "my-ppo", "my-ppo+guard", "Raises", "privileged"]),
+    ):
+        methods = choose_methods(chosen, folders[:1], added, guard=guard)
+        assert [method.name for method in methods] == names
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -246,13 +216,13 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
         chosen = ("--methods", *methods.split(), "--splits", *splits.split(), "--episodes", str(episodes))
         return (*chosen, "--jobs", "1", "--out", "out", *more)
 
-    fresh = ("--scenario-seed", "3")
+    fresh, out, scenarios = ("--scenario-seed", "3"), tmp_path / "out", fresh_set(3)
     assert stopped(compare.main, words("paper zvd", "nominal randomized", 6, *fresh), tmp_path) == (0, "")
-    results, scenarios = read_results(tmp_path / "out" / "results.json"), fresh_set(3)
+    results = read_results(out / "results.json")
     assert results["scenario_set"] == scenarios.label._asdict() and scenarios.label.name == "seed 3"
     assert results["provenance"]["split_seeds"]["nominal"] == scenarios.splits["nominal"].seed
-    assert {path.name[:9] for path in (tmp_path / "out" / "parts").iterdir()} == {"seed-3.no", "seed-3.ra"}
-    before = {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")}
+    assert {path.name[:9] for path in (out / "parts").iterdir()} == {"seed-3.no", "seed-3.ra"}
+    before = {path: path.read_bytes() for path in out.glob("*.*")}
     for narrower, lost in (
         (words("paper", "nominal randomized", 6, *fresh), "(zvd)"),
         (words("paper zvd", "randomized", 6, *fresh), "(nominal)"),
@@ -260,22 +230,16 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
         (words("paper zvd", "nominal randomized", 6), f"'seed 3' ({scenarios.label.sha256[:12]}), this run is of"),
     ):
         assert lost in mistake(compare.main, narrower, tmp_path)
-    assert {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")} == before
+    assert {path: path.read_bytes() for path in out.glob("*.*")} == before
     for more, kept in (((), 4), (("--fresh",), 0)):
-        assert stopped(compare.main, words("paper zvd rigid", "nominal randomized", 6, *fresh, *more), tmp_path) == (
-            0,
-            "",
-        )
-        assert read_results(tmp_path / "out" / "results.json")["provenance"]["pairs_kept_before"] == kept
-
-
-# Mistakes
+        wider = words("paper zvd rigid", "nominal randomized", 6, *fresh, *more)
+        assert stopped(compare.main, wider, tmp_path) == (0, "")
+        assert read_results(out / "results.json")["provenance"]["pairs_kept_before"] == kept
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("--policy", "nowhere"), "nowhere"),
         (("--policy", "runs/model.zip"), "runs/model.zip"),
         (("--episodes", "2"), "--episodes"),
         (("--episodes", "501"), "--scenario-seed"),
@@ -300,28 +264,18 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
 def test_mistakes_are_one_line(arguments: tuple[str, ...], named: str, tmp_path: Path):
     shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
     (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    label = {"name": "development", "sha256": "0000"}
-    for name, content in {
-        "old": {"edition": EDITION, "version": VERSION + 1},
-        "first": {"version": 1},
-        "unlike": {"edition": EDITION, "version": VERSION, "scenario_set": label},
-        "damaged": "{",
-    }.items():
+    unlike = {"edition": EDITION, "version": VERSION, "scenario_set": {"name": "development", "sha256": "0000"}}
+    contents = {"old": {"edition": EDITION, "version": VERSION + 1}, "first": {"version": 1}, "unlike": unlike}
+    for name, text in {**{name: json.dumps(content) for name, content in contents.items()}, "damaged": "{"}.items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / "results.json").write_text(content if isinstance(content, str) else json.dumps(content))
+        (tmp_path / name / "results.json").write_text(text)
     assert named in mistake(compare.main, arguments, tmp_path)
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def full(path: Path, write: object) -> None:
-        raise OSError(28, "No space left on device", str(path))
-
-    monkeypatch.setattr(cache, "write_arrays", full)
+    monkeypatch.setattr(cache, "write_arrays", Mock(side_effect=OSError(28, "No space left on device")))
     arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     assert "No space left on device" in mistake(compare.main, arguments, tmp_path)
-
-
-# Sensitive episodes
 
 
 def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):

@@ -29,15 +29,13 @@ from eval.report.recordings import Scene, loaded, record, record_scenes
 from eval.report.table import Results, to_markdown
 from eval.studies._frame import text_of
 
-# The page
-
 
 def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
     costs = {"pid": (100.0, 900.0), "lqg": (300.0, 500.0), "flat": (200.0, 700.0)}
-    of_splits = list(enumerate(("nominal", "randomized")))
-    methods = [outcome("privileged", "privileged", 1.0, split) for _, split in of_splits]
-    methods += [outcome(name, "classical", both[k], split) for k, split in of_splits for name, both in costs.items()]
-    methods += [outcome("net", "learned", 600.0, split, seeds=3) for _, split in of_splits]
+    methods = []
+    for k, split in enumerate(("nominal", "randomized")):
+        methods += [outcome("privileged", "privileged", 1.0, split), outcome("net", "learned", 600.0, split, seeds=3)]
+        methods += [outcome(name, "classical", both[k], split) for name, both in costs.items()]
     content = content_of(made(*methods, failures=[Failure("bad", "nominal", "it <broke>")]))
     shown, order = render(content), ["lqg", "net", "flat", "pid", "privileged"]
     assert "<b>bad</b> on nominal: it &lt;broke&gt;" in shown
@@ -53,21 +51,14 @@ def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
     assert [line.split("|")[1].strip(" *") for line in markdown.splitlines()[2:]] == order
 
 
-# Tables
-
-
 def test_every_medium_marks_the_same():
-    comparison = made(
-        outcome("pid", "classical", 100.0),
-        outcome("net", "learned", 100.0, spread=4.0),
-        outcome("bad", "classical", 400.0),
-        outcome("privileged", "privileged", 1.0),
-    )
-    marks = comparison.marks["nominal"]["cost"]
+    methods = [outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=4.0)]
+    methods += [outcome("bad", "classical", 400.0), outcome("privileged", "privileged", 1.0)]
+    comparison = made(*methods)
+    marks, content = comparison.marks["nominal"]["cost"], content_of(comparison)
     assert sorted(marks.values()) == ["best", "tie"] and not {"bad", "privileged"} & {*marks}
-    table = Results(content_of(comparison)).across_splits("cost")
-    lines = {line.split("|")[1].strip(" *"): line for line in to_markdown(table).splitlines()[2:]}
-    shown = render(content_of(comparison))
+    table, shown = to_markdown(Results(content).across_splits("cost")), render(content)
+    lines = {line.split("|")[1].strip(" *"): line for line in table.splitlines()[2:]}
     for name in ("pid", "net", "bad"):
         wanted = (marks.get(name) == "best", marks.get(name) == "tie")
         assert ("**" in lines[name], "<ins>" in lines[name]) == wanted
@@ -80,9 +71,6 @@ def test_paths_do_not_reach_the_page(folder: str):
     command = shlex.join(["python", "eval/compare.py", "--out", f"{folder}a b/out", f"--add={folder}a/mine.py:Mine"])
     assert without_paths(command) == "python eval/compare.py --out …/out --add=…/mine.py:Mine"
     assert without_paths("python eval/compare.py --policy runs/ppo/best").endswith(" runs/ppo/best")
-
-
-# Motions
 
 
 def ringing(hertz: float, amplitude: float, lateral: float) -> Recording:
@@ -103,17 +91,13 @@ def test_the_spectrum_of_a_sine_is_a_peak_of_its_height(hertz: float, amplitude:
 
 
 def test_the_animation_has_the_motion_itself():
-    methods = {method.name: method for method in classical_methods()}
-    motion = development_set().splits["nominal"].run(methods["paper"].controller(0), 3)
-    content = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})
-    (scene,) = content["scenes"]
-    raw = base64.b64decode(scene["methods"][0]["frames"])
-    frames = np.frombuffer(raw, "<f4").reshape(-1, 5)
+    motion = SPLITS_SHOWN["nominal"].run(CONTROLLERS["paper"](), 3)
+    (scene,) = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})["scenes"]
+    frames = np.frombuffer(base64.b64decode(scene["methods"][0]["frames"]), "<f4").reshape(-1, 5)
     assert frames.shape == (1200 // EVERY, 5)
     joint, torsion, radial, lateral, torque = frames[-1]
-    last = motion.state[-1, 0]
-    assert [joint, torsion] == pytest.approx([last[0] / 88, last[2]], rel=1e-6)
-    assert torque == pytest.approx(motion.torque[-1, 0], rel=1e-6)
+    expected = [motion.state[-1, 0, 0] / 88, motion.state[-1, 0, 2], motion.torque[-1, 0]]
+    assert [joint, torsion, torque] == pytest.approx(expected, rel=1e-6)
     reference = np.frombuffer(base64.b64decode(scene["reference"]), "<f4")
     reach = 2 * scene["link"] * np.cos(joint - torsion) + scene["hand"]
     rest = 2 * scene["link"] * np.cos(reference[-1]) + scene["hand"]
@@ -121,12 +105,12 @@ def test_the_animation_has_the_motion_itself():
     assert [radial, lateral] == pytest.approx(error, abs=1e-3)
 
 
+SPLITS_SHOWN = {name: development_set().splits[name].shortened(2) for name in ("nominal", "sensing", "structural")}
+
+
 def measured(name: str, split: Split) -> MethodOutcome:
     (method,) = [known for known in classical_methods() if known.name == name]
     return outcome_of(method, split.name, measure(Part(method, split, 8)), (40.0, 2000.0))
-
-
-SPLITS_SHOWN = {name: development_set().splits[name] for name in ("nominal", "drive", "sensing", "structural")}
 
 
 def test_scenes_are_of_chosen_scenarios_and_what_was_measured():
@@ -150,14 +134,12 @@ def test_motions_are_those_of_each_episode_by_itself():
     outcomes = [measured(name, split) for name in ("paper", "adrc") for split in SPLITS_SHOWN.values()]
     chosen = [Scene("", name, k) for name, k in product(SPLITS_SHOWN, (1, 6))]
     scenes, failures = record(chosen, made(*outcomes), SPLITS_SHOWN, ["adrc", "paper"], 1)
-    assert not failures
-    for scene in scenes:
-        assert list(scene.motions) == ["paper", "adrc"]
-        for name, recording in scene.motions.items():
-            alone = SPLITS_SHOWN[scene.split].run(CONTROLLERS[name](), scene.scenario)
-            alone = alone.of_move(loaded(alone.num_moves))
-            for field in fields(Recording):
-                assert np.array_equal(getattr(recording, field.name), getattr(alone, field.name)), field.name
+    assert not failures and all(list(scene.motions) == ["paper", "adrc"] for scene in scenes)
+    for scene, name in product(scenes, ("paper", "adrc")):
+        alone = SPLITS_SHOWN[scene.split].run(CONTROLLERS[name](), scene.scenario)
+        alone = alone.of_move(loaded(alone.num_moves))
+        for field in fields(Recording):
+            assert np.array_equal(getattr(scene.motions[name], field.name), getattr(alone, field.name)), field.name
 
 
 class Trembles(PaperController):
@@ -176,10 +158,8 @@ def test_an_episode_that_is_another_one_in_its_batch_is_drawn_as_it_was_measured
 ):
     """Eight arms were measured together. Alone, or with fewer, they move otherwise, or the controller fails."""
     monkeypatch.setitem(CONTROLLERS, "paper", Trembles)
-    outcome = measured("paper", SPLITS_SHOWN["nominal"])
-    scenes, failures = record(
-        [Scene("", "nominal", k) for k in range(count)], made(outcome), SPLITS_SHOWN, ["paper"], 1
-    )
+    outcome, chosen = measured("paper", SPLITS_SHOWN["nominal"]), [Scene("", "nominal", k) for k in range(count)]
+    scenes, failures = record(chosen, made(outcome), SPLITS_SHOWN, ["paper"], 1)
     assert not failures
     assert [scene.motions["paper"].cost[0] for scene in scenes] == list(outcome.metrics["cost"][0, :count])
     assert SPLITS_SHOWN["nominal"].run(Trembles(), 0).cost[0] != outcome.metrics["cost"][0, 0]

@@ -1,7 +1,5 @@
 """What single studies promise: drive, guard, repeated moves, observers, presliding and sensors."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -10,22 +8,18 @@ from agents.observer.network import Estimate
 from agents.observer.quantities import NAMES
 from agents.residual.bases import make_base
 from baselines import PaperController
-from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.seeds import VALIDATION
-from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
 from eval.studies import _frame, presliding
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
-from eval.studies.iterative import repeated
-from eval.studies.observers import Score, score, scores_of, watchers
-from eval.studies.presliding import CLEAN, ELEMENT, LUGRE, check, verdicts
-from eval.studies.sensors import TIERS, Outcome, outcome
+from eval.studies.observers import score, scores_of, watchers
+from eval.studies.presliding import CLEAN, verdicts
 
 SEED = 4_200_000
 
@@ -36,17 +30,15 @@ SEED = 4_200_000
 def test_arms_have_the_effects_asked_for_and_no_others(name: str):
     env = BeltArmVectorEnv(6, randomization="train")
     env.reset(seed=3)
-    drawn = env.params_table
+    drawn, columns = env.params_table, {getattr(COLUMN, field): field for field in DRIVE_EFFECTS}
     np.testing.assert_array_equal(with_effect(drawn, ALL, 0.0), with_effect(drawn, IDEAL, 1.0))
     for size in (0.5, 2.0):
         arms = with_effect(drawn, name, size)
-        for field in DRIVE_EFFECTS:
-            column = getattr(COLUMN, field)
+        for column, field in columns.items():
             end = size * DRIVE_RANGES[field][1] if name in (field, ALL) and field in EFFECTS else 0.0
             np.testing.assert_allclose(np.abs(arms[:, column]), end)
             assert (arms[:, column] * drawn[:, column] >= 0).all(), "signs are those drawn"
-        others = [k for k in range(arms.shape[1]) if k not in [getattr(COLUMN, field) for field in DRIVE_EFFECTS]]
-        np.testing.assert_array_equal(arms[:, others], drawn[:, others])
+        np.testing.assert_array_equal(np.delete(arms, [*columns], 1), np.delete(drawn, [*columns], 1))
         assert all(ArmParams.from_row(row) for row in arms), "twice the ranges are within the bounds"
 
 
@@ -54,9 +46,8 @@ def test_arms_have_the_effects_asked_for_and_no_others(name: str):
 
 
 def test_a_faulty_arm_that_leaves_changes_nothing_for_the_others():
-    few, many = (
-        record(PaperController(), FaultyArms(arms, "sign error", randomization="train"), seed=5) for arms in (2, 8)
-    )
+    arms = [FaultyArms(count, "sign error", randomization="train") for count in (2, 8)]
+    few, many = (record(PaperController(), each, seed=5) for each in arms)
     assert not many.finished[2:].all()
     np.testing.assert_array_equal(few.state, many.state[:, :2])
     with pytest.raises(ValueError, match="'rust'"):
@@ -70,16 +61,6 @@ def test_a_classical_controller_is_its_own_base_and_has_no_weights():
     base, guarded = dict.fromkeys(("peak", "left", "energy"), 1.0), {"peak": 1.15, "left": 2.0, "energy": 1.1}
     worse = {"base": base | {"passive": 0.0}, "guarded": guarded | {"passive": 0.0}}
     assert worse_measures(row | worse) == ["peak", "left"]
-
-
-# Repeated moves
-
-
-def test_textbook_learning_moves_the_motor_and_not_the_tip():
-    runs = repeated(6, 4, seed=SEED, randomization="ideal")
-    motor = [run["motor_rms_mrad"].mean() for run in runs]
-    assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
-    assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
 
 
 # Observers
@@ -96,21 +77,15 @@ def test_scores_of_errors_that_are_known():
 
 def test_shipped_observers_fit_a_motors_processor():
     for path in SHIPPED.iterdir():
-        observer, _ = load_observer(path)
-        assert 4 * sum(value.numel() for value in observer.parameters()) <= 50_000
+        assert sum(value.numel() for value in load_observer(path)[0].parameters()) <= 12_500
 
 
-@pytest.fixture(scope="module")
-def scores() -> dict[str, Score]:
-    """Scores on arms that no observer was fitted to."""
+def test_observers_correct_the_filter_and_know_how_well():
+    """On arms that no observer was fitted to; 32 are too few for their constants to tell much more."""
     run = rollout(make_base("adaptive"), 32, seed=VALIDATION.first, randomization="train")
     seeds = VALIDATION.first + np.arange(32)
     split = Split("fresh", "validation", seeds, {}, run.params[None], run.moves[None], np.zeros(32), "")
-    return scores_of("adaptive", watchers(), split, 32)
-
-
-def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]):
-    """On average over the quantities; 32 arms are too few for their constants to tell much more."""
+    scores = scores_of("adaptive", watchers(), split, 32)
     corrected, known = scores["learned on the filter"], scores["filter"]
     ratio, torsion = dict(zip(NAMES, corrected.rms / known.rms, strict=True)), NAMES.index("torsion")
     assert max(ratio.values()) < 1.03 and ratio["belt_stiffness"] < 1
@@ -122,17 +97,10 @@ def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]
 # Presliding
 
 
-@pytest.mark.parametrize("model", [ELEMENT, LUGRE])
-def test_a_clean_stick_is_the_limit_of_a_motor_that_gives_little_in_closed_loop(model: str):
-    soft, stiff = check(model, 3.0, 4), check(model, 0.1, 4)
-    assert stiff["tip"] < 0.5 * soft["tip"]
-    assert all(stiff["costs"][name] < 0.6 * soft["costs"][name] for name in soft["costs"])
-
-
 def test_the_answer_follows_an_order_that_turns():
     rng = np.random.default_rng(0)
-    values = {("a", CLEAN): rng.uniform(1, 2, (1, 30)), ("b", CLEAN): rng.uniform(3, 4, (1, 30))}
-    values |= {("a", "1 mrad"): values["b", CLEAN], ("b", "1 mrad"): values["a", CLEAN]}
+    low, high = rng.uniform(1, 2, (1, 30)), rng.uniform(3, 4, (1, 30))
+    values = {("a", CLEAN): low, ("b", CLEAN): high, ("a", "1 mrad"): high, ("b", "1 mrad"): low}
     assert verdicts(values, ("a", "b"), CLEAN) == {("a", "b"): "better"}
     assert verdicts(values, ("a", "b"), "1 mrad") == {("a", "b"): "worse"}
     data, pages = _frame.read_data(_frame.RESULTS / "presliding"), set()
@@ -140,26 +108,3 @@ def test_the_answer_follows_an_order_that_turns():
         changed = data | {"arms": arms, "pairs": [pair | {"reversed": turned} for pair in data["pairs"]]}
         pages.add(_frame.text_of("presliding", presliding, changed))
     assert len(pages) == 3, "reversed, not reversed, too few arms"
-
-
-# Sensors
-
-
-@cache
-def both(name: str) -> tuple[Outcome, Outcome]:
-    split = development_set().splits["randomized"]
-    without, with_it = (outcome(name, tier, split, 16) for tier in TIERS)
-    return without, with_it
-
-
-@pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
-def test_a_filter_with_the_accelerometer_knows_the_torsion_better(name: str, most: float):
-    without, with_it = both(name)
-    assert with_it.torsion < most * without.torsion
-
-
-@pytest.mark.parametrize("name", WITH_ACCELEROMETER)
-def test_with_the_accelerometer_the_arm_vibrates_less(name: str):
-    without, with_it = (result.metrics for result in both(name))
-    assert np.median(with_it["cost"] - without["cost"]) < 0
-    assert with_it["residual_pp_mm"].mean() < 0.9 * without["residual_pp_mm"].mean()

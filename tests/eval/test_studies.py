@@ -13,8 +13,6 @@ from eval.comparison import provenance
 from eval.studies import _frame, _pages
 
 NAMES = _frame.names()
-
-
 SLOW = ("loops", "paper", "physics")
 """Studies of which tests of their own run what measures."""
 
@@ -28,9 +26,8 @@ SLOW = ("loops", "paper", "physics")
     ],
 )
 def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """The study `steps` to the last dot; of the paper without its alternatives, which `test_paper.py` tries."""
-    if name != "steps":
-        hurry(monkeypatch)
+    """Of the paper without its alternatives, which `test_paper.py` tries; to the last dot in `test_speed.py`."""
+    hurry(monkeypatch)
     if name == "paper":
         kept = _frame.read_data(_frame.RESULTS / "paper")["alternatives"]
         monkeypatch.setattr("eval.studies.paper.vary", lambda *_: kept)
@@ -38,11 +35,12 @@ def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_number_out_of_bounds_is_a_mistake(name: str, tmp_path: Path):
+def test_mistakes_are_one_line(name: str, tmp_path: Path):
     for option, (least, _) in _frame.load(name).Options.bounds.items():
         words = (name, f"--{option.replace('_', '-')}", str(least - 1))
         line = mistake(study.main, words, tmp_path)
-        assert words[1] in line and str(least - 1) in line
+        assert words[1] in line and words[2] in line
+    assert repr(f"{name}s") in mistake(study.main, (f"{name}s",), tmp_path)
 
 
 @pytest.mark.parametrize("page", _pages.pages(), ids=lambda page: page.name)
@@ -54,10 +52,6 @@ def test_the_committed_page_comes_from_the_committed_data(page: _pages.Page):
     if page.name == "comparison":
         readme = _pages.README.read_text(encoding="utf-8")
         assert readme == _pages.updated_readme(readme, data)
-
-
-def test_an_unknown_study_is_a_mistake(tmp_path: Path):
-    assert "'stepps'" in mistake(study.main, ("stepps",), tmp_path)
 
 
 def test_data_keep_seven_digits_and_no_infinity(tmp_path: Path):
@@ -97,10 +91,10 @@ def test_the_digest_is_of_what_measures(
     before: str, after: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     digests = set()
-    for folder, old, new in (("own", before, before), ("other", before, after)):
+    for folder, new in (("own", before), ("other", after)):
         for path, text in (("eval/study.py", MODULE), ("beltarm_env/timing.py", IMPORTED)):
             (tmp_path / folder / path).parent.mkdir(parents=True)
-            (tmp_path / folder / path).write_text(text.replace(old, new))
+            (tmp_path / folder / path).write_text(text.replace(before, new))
         monkeypatch.setattr(provenance, "ROOT", tmp_path / folder)
         digests.add(provenance.inputs_digest("eval.study"))
     assert (len(digests) == 1) is same

@@ -10,38 +10,28 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import mistake, stopped
-from PIL import Image, ImageSequence
 
 from eval import watch
 
 ROOT = Path(__file__).resolve().parents[2]
+FRAMES = {"motion.gif": (20, 9 + 19), "motion.mp4": (30, 14 + 30)}
+"""Per second, and in all: of 1.8 s at four times the speed, and of a second's rest."""
 
 
-@pytest.mark.slow
-def test_a_gif_of_two_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    policy = next((ROOT / "agents/policies/ppo").glob("*/policy.safetensors")).parent
-    chosen = ("--controller", "paper", "--policy", str(policy), "--speed", "2", "--scenario", "3")
-    assert stopped(watch.main, (*chosen, "--out", "new/motion.gif"), tmp_path) == (0, "")
-    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[:2]] == ["paper", "ppo"]
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["motion.gif"]
-    with Image.open(tmp_path / "new" / "motion.gif") as picture:
-        assert picture.width == 2 * 480
-        frames = [np.array(frame.convert("RGB"), np.int32) for frame in ImageSequence.Iterator(picture)]
-    assert len(frames) == 18  # 1.8 s at twice the speed, 20 per second
-    moved = np.abs(frames[-1] - frames[0]).sum(axis=(0, 2))
-    assert moved[:480].any() and moved[480:].any()
-
-
-def test_an_mp4(tmp_path: Path):
+@pytest.mark.parametrize("name", [pytest.param("motion.gif", marks=pytest.mark.slow), "motion.mp4"])
+def test_a_film_of_two_arms(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    chosen = ("--controller", "paper", "--speed", "4", "--out", "motion.mp4")
-    assert stopped(watch.main, chosen, tmp_path) == (0, "")
-    words = [ffmpeg.get_ffmpeg_exe(), "-i", "motion.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    film = subprocess.run(words, cwd=tmp_path, capture_output=True, check=True)
-    assert "480x588" in film.stderr.decode() and "30 fps" in film.stderr.decode()
-    pictures = np.frombuffer(film.stdout, np.uint8).reshape(-1, 588, 480, 3).astype(np.int32)
-    assert len(pictures) == 14 + 30  # 1.8 s at four times the speed, and a second's rest
-    assert np.abs(pictures[13] - pictures[0]).max() > 50
+    chosen = ("--controller", "paper", "--policy", str(ROOT / "agents/policies/ppo/seed0"), "--speed", "4")
+    assert stopped(watch.main, (*chosen, "--scenario", "3", "--out", f"new/{name}"), tmp_path) == (0, "")
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[:2]] == ["paper", "ppo"]
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [name]
+    words = [ffmpeg.get_ffmpeg_exe(), "-i", name, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    film = subprocess.run(words, cwd=tmp_path / "new", capture_output=True, check=True)
+    assert "960x588" in film.stderr.decode() and f"{FRAMES[name][0]} fps" in film.stderr.decode()
+    pictures = np.frombuffer(film.stdout, np.uint8).reshape(-1, 588, 960, 3).astype(np.int32)
+    assert len(pictures) == FRAMES[name][1]
+    moved = np.abs(pictures[8] - pictures[0]).max(axis=(0, 2))
+    assert moved[:480].max() > 50 and moved[480:].max() > 50
 
 
 def test_what_an_mp4_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -9,15 +9,9 @@ from commands import python
 
 from agents.policy.bundle import read_spec
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ROOT / "docs" / "examples"
-CONSTRAINTS = "docs/examples/rllib-constraints.txt"
-INSTALL = f'pip install -c {CONSTRAINTS} "ray[rllib]" -e ".[checkout]"'
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+INSTALL = 'pip install -c docs/examples/rllib-constraints.txt "ray[rllib]" -e ".[checkout]"'
 NO_RLLIB = f"no RLlib here, which needs another Gymnasium: in a virtual environment of its own, {INSTALL}"
-
-
-def output_of(example: str, *arguments: str, cwd: Path) -> str:
-    return python(EXAMPLES / example, *arguments, cwd=cwd)
 
 
 def costs_in(output: str, pattern: str) -> list[float]:
@@ -31,7 +25,7 @@ VALIDATED = r"validation arms: ([\d.]+) of paper alone, ([\d.]+) with the residu
 @pytest.mark.slow
 def test_ppo_in_one_file_learns_and_saves_a_policy(tmp_path: Path):
     small = ("--num-envs", "32", "--num-steps", "32", "--minibatch-size", "128", "--total-timesteps", "20000")
-    output = output_of("cleanrl_ppo.py", *small, "--validation-arms", "16", cwd=tmp_path)
+    output = python(EXAMPLES / "cleanrl_ppo.py", *small, "--validation-arms", "16", cwd=tmp_path)
     before, after = costs_in(output, VALIDATED)
     assert after < 0.8 * before
     spec, _ = read_spec(tmp_path / "runs/cleanrl_ppo/policy")
@@ -42,7 +36,7 @@ def test_ppo_in_one_file_learns_and_saves_a_policy(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_loop_of_python_control_beats_the_paper_by_half(tmp_path: Path):
-    output = output_of("control_loop.py", cwd=tmp_path)
+    output = python(EXAMPLES / "control_loop.py", cwd=tmp_path)
     loop, paper = costs_in(output, r"this loop: cost (\d+).*\npaper: cost (\d+)")
     assert loop < 0.5 * paper
     delays = [float(delay) for delay in re.findall(r"delay margin ([\d.]+) samples", output)]
@@ -52,7 +46,7 @@ def test_a_loop_of_python_control_beats_the_paper_by_half(tmp_path: Path):
 @pytest.mark.skipif(find_spec("ray") is None or find_spec("tree") is None, reason=NO_RLLIB)
 def test_rllib_learns(tmp_path: Path):
     small = ("--iterations", "3", "--train-batch-size", "10240", "--validation-arms", "16")
-    output = output_of("rllib_ppo.py", *small, cwd=tmp_path)
+    output = python(EXAMPLES / "rllib_ppo.py", *small, cwd=tmp_path)
     returns = [float(value) for value in re.findall(r"mean return (-[\d.]+)", output)]
     assert len(returns) == 3 and returns[-1] > returns[0]
     before, after = costs_in(output, VALIDATED)
@@ -62,4 +56,4 @@ def test_rllib_learns(tmp_path: Path):
 def test_examples_are_short_and_say_how_to_install_what_they_need():
     assert len((EXAMPLES / "cleanrl_ppo.py").read_text(encoding="utf-8").splitlines()) <= 250
     assert INSTALL in (EXAMPLES / "rllib_ppo.py").read_text(encoding="utf-8")
-    assert (ROOT / CONSTRAINTS).is_file()
+    assert (EXAMPLES / "rllib-constraints.txt").is_file()

@@ -21,7 +21,6 @@ COMMANDS = [
     if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path.stem not in ("study", "export")
 ]
 COMMANDS += [f"eval/study.py {name}" for name in names()]
-TRAININGS = [f"train/{name}.py" for name in ("ppo", "recurrent_ppo", "sac", "student")]
 
 
 def help_of(command: str, capfd: pytest.CaptureFixture[str]) -> str:
@@ -34,46 +33,40 @@ def help_of(command: str, capfd: pytest.CaptureFixture[str]) -> str:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_is_plain_and_fits(command: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
     shown = ""
-    for columns in ("200", "60") if command == COMMANDS[0] else ("60",):
-        monkeypatch.setenv("COLUMNS", columns)
+    for columns in (200, 60) if command == COMMANDS[0] else (60,):
+        monkeypatch.setenv("COLUMNS", str(columns))
         shown = help_of(command, capfd)
-        boxes = [line for line in shown.splitlines() if line[:1] in "╭│╰"]
-        assert max(map(len, boxes)) <= int(columns)
+        assert max(len(line) for line in shown.splitlines() if line[:1] in "╭│╰") <= columns
     usage, purpose, *_ = shown.split("\n\n")
     assert usage.startswith(f"usage: {command.split()[0]}") and len(purpose.split()) > 3
     for clutter in ("None", "(default: )", "''", "True", "False", "]]", str(ROOT)):
         assert clutter not in shown, clutter
 
 
-def test_trainings_sort_their_options(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("name", ["ppo", "recurrent_ppo", "sac", "student"])
+def test_trainings_sort_their_options(name: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("COLUMNS", "80")
-    for command in TRAININGS:
-        boxes = re.split(r"─ (\w+) options ─", help_of(command, capfd))
-        groups = {
-            name: {*re.findall(r"│ (--[a-z-]+)", box)} for name, box in zip(boxes[1::2], boxes[2::2], strict=True)
-        }
-        assert list(groups) == ["basic", "algorithm", "run"]
-        assert {"--out", "--base", "--seed", "--seeds", "--resume", "--overwrite"} <= groups["basic"]
-        assert {"--knowledge", "--learning-rate", "--hold", "--arms"} <= groups["algorithm"]
-        assert {"--jobs", "--validation-arms", "--device"} <= groups["run"]
+    boxes = re.split(r"─ (\w+) options ─", help_of(f"train/{name}.py", capfd))
+    assert boxes[1::2] == ["basic", "algorithm", "run"]
+    basic, algorithm, run = ({*re.findall(r"│ (--[a-z-]+)", box)} for box in boxes[2::2])
+    assert {"--out", "--base", "--seed", "--seeds", "--resume", "--overwrite"} <= basic
+    assert {"--knowledge", "--learning-rate", "--hold", "--arms"} <= algorithm
+    assert {"--jobs", "--validation-arms", "--device"} <= run
 
 
 @pytest.mark.slow
 def test_help_may_be_cut_off():
     """As by `| head`, whose pipe closes before all is written."""
-    process = subprocess.Popen(
-        [sys.executable, "train/ppo.py", "--help"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None and process.stderr is not None
-    process.stdout.close()
-    assert process.stderr.read() == "" and process.wait(timeout=300) == 0
-    process.stderr.close()
+    command, pipe = [sys.executable, "train/ppo.py", "--help"], subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == "" and process.wait(timeout=300) == 0
 
 
 def test_unknown_options_are_refused(capfd: pytest.CaptureFixture[str]):
     for words in (["--aarms", "3"], ["--arms", "None"]):
-        with pytest.raises(SystemExit) as end:
+        with pytest.raises(SystemExit, match="2"):
             parse(PpoConfig, arguments=words)
-        assert end.value.code == 2
         shown = capfd.readouterr()
         assert shown.out == "" and shown.err

@@ -1,8 +1,9 @@
 """The house: packages and their folders import one way, from the bottom up, and commands are imported by nobody."""
 
 import ast
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def named(nodes: Iterator[ast.AST] | list[ast.stmt]) -> set[str]:
+def named(nodes: Iterable[ast.AST]) -> set[str]:
     """Modules that statements import: those of this project, else what is imported from."""
     found: set[str] = set()
     for node in nodes:
@@ -102,17 +103,15 @@ def test_the_environment_needs_what_it_declares_and_imports_the_rest_where_it_is
 
 def test_controllers_do_not_know_the_environment_class():
     for module, path in modules("baselines"):
-        text = path.read_text(encoding="utf-8")
-        assert "BeltArmEnv" not in text and "BeltArmVectorEnv" not in text, module
+        assert not re.search(r"BeltArm(Vector)?Env", path.read_text(encoding="utf-8")), module
 
 
 def test_studies_do_not_know_one_another():
     for module, path in modules("eval"):
         own = module.split(".")[2:3]
         if module.startswith("eval.studies.") and not own[0].startswith("_"):
-            others = {other for other in imported(path) if other.startswith("eval.studies.")}
-            strangers = {other for other in others if other.split(".")[2] != own[0] and "._" not in other}
-            assert not strangers, f"{module} imports {sorted(strangers)}"
+            others = {other for other in imported(path) if other.startswith("eval.studies.") and "._" not in other}
+            assert {other.split(".")[2] for other in others} <= {*own}, module
 
 
 def test_commands_are_thin_and_no_module_imports_one():

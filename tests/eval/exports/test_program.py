@@ -49,16 +49,13 @@ def blocks(language: str) -> list[str]:
 
 @pytest.mark.parametrize(
     "source",
-    [
-        each if each in ("paper", "ei", "adaptive", PPO) else pytest.param(each, marks=pytest.mark.slow)
-        for each in SOURCES
-    ],
+    [each if each in ("ei", "adaptive", PPO) else pytest.param(each, marks=pytest.mark.slow) for each in SOURCES],
     ids=identity,
 )
 def test_the_program_is_the_controller(exports: Any, source: str):
     guard, first = source in ("ei", "adaptive", STUDENT), 2 * SOURCES.index(source)
     made = exports.of(source, guard)
-    for k in range(len(SPLITS) if guard else 2):  # others on two splits each, by turns
+    for k in range(2):  # by turns
         made.assert_equal(SPLITS[(first + k) % len(SPLITS)])
     made.assert_equal("randomized", moves=3)
 
@@ -72,7 +69,7 @@ def test_the_program_of_another_compiler_and_with_sanitizers(exports: Any, sourc
             exports.of(source).assert_equal("randomized", Toolchain((str(path),)))
 
 
-@pytest.mark.parametrize("source", ["adaptive", STUDENT], ids=identity)
+@pytest.mark.parametrize("source", ["adaptive", pytest.param(STUDENT, marks=pytest.mark.slow)], ids=identity)
 def test_the_program_calls_nothing_but_exact_functions(exports: Any, source: str, tmp_path: Path):
     made, tool = exports.of(source), shutil.which("nm")
     if tool is None:
@@ -93,8 +90,6 @@ def test_sources_are_the_same_every_time_and_others_where_plans_are_spread(expor
 
 
 class Room(NamedTuple):
-    """Rows of lanes under a name that nothing else has, and what is none."""
-
     anything: Rows
     block: Any
     nothing: Any = None
@@ -147,11 +142,6 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
 # The command
 
 
-def refusal(*arguments: str, cwd: Path) -> str:
-    """The line with which the command refuses to export C."""
-    return mistake(export.main, ("c", *arguments), cwd)
-
-
 def write(*arguments: str, cwd: Path) -> dict[str, Any]:
     """Export C into the folder `made`; return the manifest."""
     assert stopped(export.main, ("c", *arguments, "--out", "made"), cwd) == (0, "")
@@ -163,7 +153,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Writes a controller, a policy in its place, and another controller without a guard in that of the policy."""
+    """Writes a controller, a policy in its place, and a law of a user's own without a guard in that of the policy."""
     manifest = write("ei", "--episodes", "1", cwd=tmp_path)
     assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
     files = contents(tmp_path / "made")
@@ -174,15 +164,12 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert b"ei_init" in files["README.md"] and b"-ffp-contract=off" in files["README.md"]
     title = write(PPO, "--no-check", cwd=tmp_path)["title"]
     assert "SHA-256" in title and "guard" in title
-    assert "guard" not in write("paper", "--no-check", "--no-guard", cwd=tmp_path)["title"]
-    assert {path.name for path in (tmp_path / "made").glob("*.[ch]")} == {"paper.c", "paper.h", "in_the_loop.c"}
-    assert [path.name for path in tmp_path.iterdir()] == ["made"]
-
-
-def test_a_law_in_a_file_of_its_own(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    manifest = write(f"{EXAMPLES / 'my_servo.py'}:MyServo", "--episodes", "1", cwd=tmp_path)
+    manifest = write(f"{EXAMPLES / 'my_servo.py'}:MyServo", "--episodes", "1", "--no-guard", cwd=tmp_path)
     assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
-    assert manifest["name"] == "my_servo" and "k_my_law" in (tmp_path / "made" / "my_servo.c").read_text()
+    assert manifest["name"] == "my_servo" and "guard" not in manifest["title"]
+    assert "k_my_law" in (tmp_path / "made" / "my_servo.c").read_text()
+    assert {path.name for path in (tmp_path / "made").glob("*.[ch]")} == {"my_servo.c", "my_servo.h", "in_the_loop.c"}
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
 def test_users_files_are_not_replaced(tmp_path: Path):
@@ -190,7 +177,7 @@ def test_users_files_are_not_replaced(tmp_path: Path):
     for file in (tmp_path / "work" / "thesis.tex", tmp_path / "file"):
         file.write_text("mine")
     for out in ("work", "file", "file/below"):
-        assert out.split("/")[0] in refusal("ei", "--out", out, cwd=tmp_path)
+        assert out.split("/")[0] in mistake(export.main, ("c", "ei", "--out", out), tmp_path)
     assert (tmp_path / "work" / "thesis.tex").read_text() == (tmp_path / "file").read_text() == "mine"
     assert {path.name for path in tmp_path.iterdir()} == {"work", "file"}
 
@@ -210,7 +197,7 @@ def test_users_files_are_not_replaced(tmp_path: Path):
     ids=lambda words: " ".join(words),
 )
 def test_what_cannot_be_exported(arguments: tuple[str, ...], words: tuple[str, ...], tmp_path: Path):
-    line = refusal(*arguments, "--out", "made", "--no-check", cwd=tmp_path)
+    line = mistake(export.main, ("c", *arguments, "--out", "made", "--no-check"), tmp_path)
     assert all(word in line for word in words), line
     assert not list(tmp_path.iterdir())
 
@@ -219,7 +206,7 @@ def test_what_cannot_be_exported(arguments: tuple[str, ...], words: tuple[str, .
 def test_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv(name, value)
-    assert value in refusal("ei", "--out", "made", cwd=tmp_path) and not list(tmp_path.iterdir())
+    assert value in mistake(export.main, ("c", "ei", "--out", "made"), tmp_path) and not list(tmp_path.iterdir())
     write("ei", "--no-check", cwd=tmp_path)
     assert (tmp_path / "made" / "ei.c").is_file()
 
