@@ -103,11 +103,12 @@ def test_what_does_not_fit_is_refused():
 def test_a_residual_of_zero_is_the_base(base: str):
     """For one arm and as a controller; that a batch is single arms is looked at below."""
     env, expected, total, truncated = single_env(base=base), base_run(base, 5), 0.0, False
+    arm: Any = env.unwrapped
     env.reset(seed=30)
     for hold in range(HOLDS):
         _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
         total += reward
-        assert np.array_equal(env.unwrapped.state, expected.state[SETTINGS.hold * (hold + 1) - 1, 0])
+        assert np.array_equal(arm.state, expected.state[SETTINGS.hold * (hold + 1) - 1, 0])
     assert truncated and -total == pytest.approx(expected.cost[0], rel=1e-12)
     recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
     for name in Recording.__slots__:
@@ -274,7 +275,8 @@ def test_an_arm_that_leaves_within_a_hold():
     assert info["TimeLimit.truncated"] is False
     samples = OUTWARD.hold - info["episode"]["l"] % OUTWARD.hold
     assert 0 < samples < OUTWARD.hold, "the arm should have left within a hold"
-    assert np.array_equal(seen[0], seen_by_base(single.unwrapped, single.unwrapped.reset()[0], samples))
+    arm: Any = single.unwrapped
+    assert np.array_equal(seen[0], seen_by_base(arm, arm.reset()[0], samples))
 
 
 @pytest.mark.parametrize(("count", "hold"), [(1, 4), (10, 7)])

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from itertools import product
-from typing import Any
+from typing import Any, cast
 from unittest.mock import Mock
 
 import gymnasium as gym
@@ -264,6 +264,6 @@ def test_rollouts():
         refused(ValueError, words, lambda controller=controller: rollout(controller, 2, seed=0))
     paper, many = CONTROLLERS["paper"](), tuple(range(1000))
     wrong: list[tuple[Any, ...]] = [("paper", "CONTROLLERS['paper']()"), (type(paper), "()"), (None, "None")]
-    for controller, *words in (*wrong, (many, "(0, 1, 2,", "...")):
-        refused(TypeError, ("predict", *words), lambda controller=controller: rollout(controller, 5))
+    for each, *words in (*wrong, (many, "(0, 1, 2,", "...")):
+        refused(TypeError, ("predict", *words), lambda each=each: rollout(cast("Any", each), 5))
     refused(ValueError, ("max_episode_steps=100",), lambda: rollout(paper, 2, max_episode_steps=100))

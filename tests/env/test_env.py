@@ -98,7 +98,7 @@ class TestBeginningAndEnd:
         self, direction: int, moves: int, rest: int
     ):
         env, terminated, steps, total = make(randomization="train", moves=moves), False, 0, 0.0
-        env.reset(seed=3)
+        _, info = env.reset(seed=3)
         while not terminated:
             action = np.array([direction * (steps >= rest)], np.float32)
             _, reward, terminated, truncated, info = env.step(action)

@@ -142,12 +142,13 @@ class TestStateDerivative:
     def test_simulated_it_moves_as_the_environment_does(self):
         built = ArmParams(static_friction_excess=0.5, torque_ripple=0.005, kinematic_error=2e-4, belt_stiffening=0.3)
         simulation, x = ArmSimulation(built), np.array([30.0, 40.0, 0.004, -0.2])
+        start: Any = x
         driven = simulation.at_rest(np.array([30.0]))
         driven[0, :4] = x
         later = simulation.advance(driven, np.array([0.05]))[0, :4]
         times: Any = np.array([0.0, CONTROL_PERIOD])
         finest: Any = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
-        response = control.input_output_response(system_of(built), times, 0.05, x, solve_ivp_kwargs=finest)
+        response = control.input_output_response(system_of(built), times, 0.05, start, solve_ivp_kwargs=finest)
         np.testing.assert_allclose(response.states[:, -1], later, rtol=1e-4, atol=1e-5)
 
     def test_friction_holds_a_motor_at_rest_and_opposes_one_that_turns(self):

@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 
-def refused(expected: type[Exception] | tuple[type[Exception], ...], words: tuple[str, ...], call: Callable[[], Any]):
+def refused(
+    expected: type[BaseException] | tuple[type[BaseException], ...], words: tuple[str, ...], call: Callable[[], Any]
+):
     """Assert that a call raises exactly this kind of exception, with all the words in its message."""
     with pytest.raises(expected) as caught:
         call()

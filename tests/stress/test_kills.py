@@ -122,6 +122,7 @@ def test_it_goes_on_to_the_same_files(name: str, pool: ProcessPoolExecutor):
 def undisturbed(name: str, folder: Path) -> tuple[list[str], dict[str, Any]]:
     """Events of a run without trouble, and the meaning of its files."""
     subject = SUBJECTS[name]
+    events: Any = []
     for begin in (subject.begin, partial(in_child, subject.begin)):  # so that all children have what is compiled
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
