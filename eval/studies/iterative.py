@@ -23,7 +23,7 @@ from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import side_by_side
 from eval.comparison.statistics import estimate, paired
-from eval.report.style import BLUE, mark_one_two_five
+from eval.report.style import BLUE, below, mark_one_two_five
 from eval.studies._arms import privileged
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
@@ -143,6 +143,7 @@ def _draw(data: dict[str, Any]) -> Figure:
         _curves(axis, [row for row in data["rows"] if row["kind"] == kind])
     np.atleast_1d(axes)[0].set_ylabel("cost of an episode")
     figure.suptitle("Interquartile means over arms; band: the middle half of the arms", fontsize=10)
+    below(figure, np.atleast_1d(axes)[0], 1 + len(OTHERS))
     return figure
 
 
@@ -159,4 +160,3 @@ def _curves(axis: Axes, rows: list[dict[str, Any]]) -> None:
     mark_one_two_five(axis.yaxis)
     axis.set_xlabel("repetition")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axis.legend(fontsize=9, frameon=False)
