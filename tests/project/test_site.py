@@ -39,7 +39,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the pages, built from a copy, since the gallery is written among the sources."""
     copy = tmp_path_factory.mktemp("checkout")
     for path in ROOT.iterdir():
-        if path.name not in KEPT_OUT:
+        if path.is_file():
+            shutil.copy(path, copy)
+        elif path.name not in KEPT_OUT:
             (copy / path.name).symlink_to(path)
     shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("_build", "gallery", "*.gif"))
     (copy / "docs/results/comparison/motion.gif").touch()
