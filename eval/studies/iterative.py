@@ -6,7 +6,6 @@ The learner is `baselines.yardsticks.iterative`. Controllers that learn nothing 
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -23,7 +22,7 @@ from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import side_by_side
 from eval.comparison.statistics import estimate, paired
-from eval.report.style import BLUE, below, mark_one_two_five
+from eval.report.style import BLUE, below, mark_one_two_five, panels
 from eval.studies._arms import privileged
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
@@ -137,13 +136,13 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _draw(data: dict[str, Any]) -> Figure:
     """Draw the cost over the repetitions, for all kinds of arms."""
     kinds = data["kinds"]
-    figure, axes = plt.subplots(1, len(kinds), figsize=(4.2 * len(kinds), 4), sharey="row", layout="constrained")
-    for axis, (kind, description) in zip(np.atleast_1d(axes), kinds.items(), strict=True):
+    figure, axes = panels(len(kinds), len(kinds), (4.2, 4), sharey=True)
+    for axis, (kind, description) in zip(axes, kinds.items(), strict=True):
         axis.set_title(f"{kind}\n{description}", fontsize=9)
         _curves(axis, [row for row in data["rows"] if row["kind"] == kind])
-    np.atleast_1d(axes)[0].set_ylabel("cost of an episode")
+    axes[0].set_ylabel("cost of an episode")
     figure.suptitle("Interquartile means over arms; band: the middle half of the arms", fontsize=10)
-    below(figure, np.atleast_1d(axes)[0], 1 + len(OTHERS))
+    below(figure, axes[0], 1 + len(OTHERS))
     return figure
 
 
