@@ -116,6 +116,10 @@ class Translated:
         return list(out)
 
 
+def wholes(*numbers: int) -> Any:
+    return np.array(numbers, INTEGERS)
+
+
 def same(a: Any, b: Any) -> bool:
     """Whether numbers are equal to the last bit, the sign of zero included; one NaN is like another."""
     a, b = np.asarray(a, np.float64).ravel(), np.asarray(b, np.float64).ravel()

@@ -12,19 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from translating import INTEGERS, SANITISE, Cases, Translated, compiler
+from translating import SANITISE, Cases, Translated, compiler, wholes
 
 from beltarm_env.engine.translation.types import Const
-from beltarm_env.engine.words import add, look
 
 CASES = Cases()
 case = CASES.case
 TABLE = np.array([[1.0, 2.0, 3.0], [-4.0, 0.1, 6.0]])
-WHOLES = np.array([3, -1, 2])
+KNOWN = np.array([3, -1, 2])
 LAST = slice(2, 4)
 STEPS = (1, 2, 5)
 ENDS = (-12, -3, 0, 2, 7, 8, 20)
-FAR = (2**31 - 2, 2**31 - 1, 2**31, -(2**31), -(2**31) - 1, 5, -7, 0)
 
 
 class Inner(NamedTuple):
@@ -45,10 +43,6 @@ class Workspace(NamedTuple):
 
 def row(n: int = 5) -> Any:
     return np.linspace(-1.0, 2.5, n) ** 3
-
-
-def wholes(*numbers: int) -> Any:
-    return np.array(numbers, INTEGERS)
 
 
 def square() -> Any:
@@ -124,7 +118,7 @@ def known_arrays(k: int, x: float) -> tuple[Any, ...]:
     for step in STEPS:
         sizes += step
     known = TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
-    places = STEPS[k], STEPS[k - 1], STEPS[-k], STEPS[k - 3], WHOLES[k]
+    places = STEPS[k], STEPS[k - 1], STEPS[-k], STEPS[k - 3], KNOWN[k]
     return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], *places, *known
 
 
@@ -340,69 +334,6 @@ def names_of_tables(design: Any, k: int, x: float) -> float:
     return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
 
 
-# Types of numbers
-
-
-@case((wholes(1, -2, 3), np.array([True, False, True]), 2.7))
-def other_types(n: Any, flags: Any, x: float) -> tuple[Any, ...]:
-    n[1] = int(x)
-    flags[1] = n[0] < x
-    n[0] //= 2
-    n[0] += x
-    n[2:] = 0.9 * x
-    singles = np.zeros(2, np.float32)
-    singles[0] = 0.1
-    singles[1] = 2.0 * singles[0]
-    return n[1] / 2, singles[1] * 1.0, flags[0] and not flags[1], WHOLES[n[2] - 1] % 2
-
-
-@case((np.array([3, -128, 127, 5], np.int8), np.zeros(3, np.int8), 300))
-def little_numbers(a: Any, b: Any, n: int) -> tuple[Any, ...]:
-    b[0], b[1] = n // 3, -7
-    b[2] = b[0] + b[1]
-    total = 0
-    for k in range(len(a)):
-        total += int(a[k])
-    return total, b[1] * 0.5, a[0] > b[1], int(a[2]) + int(a[2])
-
-
-@case((np.array([2**64 - 1, 2**63 + 5, 3], np.uint64), 7))
-def unsigned_numbers(a: Any, n: int) -> tuple[Any, ...]:
-    a[2] ^= a[1] >> np.uint64(n)
-    a[1] = (a[1] * np.uint64(5) + a[0]) & np.uint64(0xFFFF)
-    a[0] -= np.uint64(n) << np.uint64(3)
-    return a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
-
-
-@case((5, 12), (-9, 3))
-def bits_of_wholes(a: int, b: int) -> tuple[int, ...]:
-    pair = (a, b) + (a ^ b, a >> 1)  # noqa: RUF005
-    return *pair, b >> 2, (a ^ 7) & b, a >> (b & 3)
-
-
-@case(*itertools.product(FAR, (1, 2, -1, 3)))
-def beyond_32_bits(a: int, b: int) -> tuple[int, ...]:
-    total, count = a, 0
-    for k in range(20):
-        total = total * 2 + b * k
-        count += a
-    return a + b, a - b, a * b * 5, -a, abs(a), a // b, a % b, a // -b, a % -b, total % 1000003, count, a + 2147483647
-
-
-@case((wholes(2**62, -(2**63), 2**63 - 1, -1),))
-def wrapped(n: Any) -> tuple[bool, ...]:
-    a, b, c = n[0] + n[0], n[1] + n[3], n[2] * n[0]
-    return a < 0, b > 0, c == -n[0], -n[1] < 0, n[1] // n[3] < 0, abs(n[1]) < 0, n[1] - n[2] == 1
-
-
-@case((wholes(0, 0),))
-def shared_words(words: Any) -> tuple[int, ...]:
-    before = add(words, 0, 3), add(words, 0, 4), add(words, 1, -2)
-    add(words, 1, 10)
-    return *before, look(words, 0), look(words, 1)
-
-
-@pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
     CASES.check(library, name, tmp_path)
@@ -415,7 +346,8 @@ def test_within_memory():
     sanitiser = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
     if not os.path.isabs(sanitiser):
         pytest.skip("the compiler has no sanitiser of addresses")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "kernel_in_c"]
+    quiet = ("-q", "-p", "no:cacheprovider", "-k", "kernel_in_c")
+    command = [sys.executable, "-m", "pytest", *quiet, str(Path(__file__).parent)]
     environment = {**os.environ, SANITISE: "1", "LD_PRELOAD": sanitiser, "ASAN_OPTIONS": "detect_leaks=0"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from translating import Calls, Cases, Kernel, Translated, assert_same
+from translating import Calls, Cases, Kernel, Translated, assert_same, wholes
 
+from beltarm_env.engine.words import add, look
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sine_cosine
 
 NAN, INF = math.nan, math.inf
@@ -22,6 +23,8 @@ PAIRS: Calls = list(itertools.product(REALS, REALS))
 WHOLES: Calls = [(a, b) for a in (-7, -6, -1, 0, 1, 6, 7) for b in (-3, -2, 2, 3)]
 FINITE: Calls = [(a, b) for a in (7.5, -7.5, 6.0, -6.0, 0.0, -0.0, 1e-300) for b in (2.5, -2.5, 3.0, -3.0, 0.1)]
 SINGLES: Calls = [(np.float32(a), b) for a in (0.1, -3.3, 1e30) for b in (0.1, 7.0, -1e-3)]
+FAR = (2**31 - 2, 2**31 - 1, 2**31, -(2**31), -(2**31) - 1, 5, -7, 0)
+KNOWN = np.array([3, -1, 2])
 CASES = Cases()
 case = CASES.case
 
@@ -102,6 +105,68 @@ def known_numbers(x: float) -> tuple[Any, ...]:
     whole = 7
     share = whole / 2 - 2**-1 + whole // 2 * 1e-3
     return x * share, x + whole % 4, x - -1e-300, x * 1e300 * 10, whole, 0.1 + 0.2
+
+
+# Types of numbers
+
+
+@case((wholes(1, -2, 3), np.array([True, False, True]), 2.7))
+def other_types(n: Any, flags: Any, x: float) -> tuple[Any, ...]:
+    n[1] = int(x)
+    flags[1] = n[0] < x
+    n[0] //= 2
+    n[0] += x
+    n[2:] = 0.9 * x
+    singles = np.zeros(2, np.float32)
+    singles[0] = 0.1
+    singles[1] = 2.0 * singles[0]
+    return n[1] / 2, singles[1] * 1.0, flags[0] and not flags[1], KNOWN[n[2] - 1] % 2
+
+
+@case((np.array([3, -128, 127, 5], np.int8), np.zeros(3, np.int8), 300))
+def little_numbers(a: Any, b: Any, n: int) -> tuple[Any, ...]:
+    b[0], b[1] = n // 3, -7
+    b[2] = b[0] + b[1]
+    total = 0
+    for k in range(len(a)):
+        total += int(a[k])
+    return total, b[1] * 0.5, a[0] > b[1], int(a[2]) + int(a[2])
+
+
+@case((np.array([2**64 - 1, 2**63 + 5, 3], np.uint64), 7))
+def unsigned_numbers(a: Any, n: int) -> tuple[Any, ...]:
+    a[2] ^= a[1] >> np.uint64(n)
+    a[1] = (a[1] * np.uint64(5) + a[0]) & np.uint64(0xFFFF)
+    a[0] -= np.uint64(n) << np.uint64(3)
+    return a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
+
+
+@case((5, 12), (-9, 3))
+def bits_of_wholes(a: int, b: int) -> tuple[int, ...]:
+    pair = (a, b) + (a ^ b, a >> 1)  # noqa: RUF005
+    return *pair, b >> 2, (a ^ 7) & b, a >> (b & 3)
+
+
+@case(*itertools.product(FAR, (1, 2, -1, 3)))
+def beyond_32_bits(a: int, b: int) -> tuple[int, ...]:
+    total, count = a, 0
+    for k in range(20):
+        total = total * 2 + b * k
+        count += a
+    return a + b, a - b, a * b * 5, -a, abs(a), a // b, a % b, a // -b, a % -b, total % 1000003, count, a + 2147483647
+
+
+@case((wholes(2**62, -(2**63), 2**63 - 1, -1),))
+def wrapped(n: Any) -> tuple[bool, ...]:
+    a, b, c = n[0] + n[0], n[1] + n[3], n[2] * n[0]
+    return a < 0, b > 0, c == -n[0], -n[1] < 0, n[1] // n[3] < 0, abs(n[1]) < 0, n[1] - n[2] == 1
+
+
+@case((wholes(0, 0),))
+def shared_words(words: Any) -> tuple[int, ...]:
+    before = add(words, 0, 3), add(words, 0, 4), add(words, 1, -2)
+    add(words, 1, 10)
+    return *before, look(words, 0), look(words, 1)
 
 
 # Branches and loops
@@ -268,6 +333,7 @@ for function, ranges in ELEMENTARY.items():
     CASES.add(function, [tuple(high for _, high in ranges)])
 
 
+@pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
     CASES.check(library, name, tmp_path)
