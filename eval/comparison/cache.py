@@ -273,9 +273,6 @@ class Perturbed:
 
     Whether a motor sticks is decided by a hair, and what follows is another motion. Where a controller and its arm
     amplify such a difference, a single episode says little, and on a real arm the same move is not made twice.
-
-    Args:
-        controller: Whose torques they are.
     """
 
     def __init__(self, controller: Controller) -> None:

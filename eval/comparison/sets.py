@@ -178,11 +178,7 @@ def choose_set(name: str | None = None, seed: int | None = None) -> ScenarioSet:
 
 
 def set_of(results: dict[str, Any], path: Path) -> ScenarioSet:
-    """Choose the set that results are of, which this checkout must have.
-
-    Args:
-        results: Content of a results.json.
-        path: Its name for the message.
+    """Choose the set that a results.json is of, which this checkout must have.
 
     Raises:
         ValueError: If the set has other scenarios here.

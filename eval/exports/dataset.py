@@ -138,12 +138,7 @@ def export(options: Options) -> None:
 def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
     """Write a dataset under a temporary name, then rename it: where that fails, an older one stays as it was.
 
-    Args:
-        options: The options, checked.
-        done: Called with the number of episodes that have been written, and that of all.
-
-    Returns:
-        Metadata of each episode.
+    `done` is called with the number of episodes that have been written, and that of all. Returns metadata of each.
     """
     from minari.namespace import create_namespace, list_local_namespaces
 
@@ -249,12 +244,7 @@ class Disturbance(NamedTuple):
 
 
 def draw_disturbance(seed: int, share: float) -> Disturbance:
-    """Draw the disturbance of an episode.
-
-    Args:
-        seed: Seed of the episode.
-        share: Share of episodes that are disturbed, 0 to 1; half of them in either way.
-    """
+    """Draw the disturbance of an episode; a share of all episodes is disturbed, half of them in either way."""
     random = np.random.default_rng((seed, _STREAM))
     disturbed, way = random.random() < share, KINDS[1 + random.integers(2)]
     kind = way if disturbed else "none"
@@ -276,15 +266,8 @@ def run_episodes(
 ) -> dict[int, tuple[EpisodeBuffer, dict[str, Any]]]:
     """Run a controller on the arms of some seeds, side by side; each episode is that of a single environment.
 
-    Args:
-        name: Name of the controller.
-        controller: The controller.
-        seeds: Seed of each episode.
-        share: Share of episodes that are disturbed, see `draw_disturbance`.
-        settings: Arguments of `BeltArmVectorEnv`.
-
-    Returns:
-        Episode and its metadata, by seed.
+    For `share` see `draw_disturbance`; `settings` are arguments of `BeltArmVectorEnv`. Returns each episode with its
+    metadata, by seed.
 
     Raises:
         ValueError: If the controller does not suit the arms.

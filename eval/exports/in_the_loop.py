@@ -155,16 +155,10 @@ def compare(
     toolchain: Toolchain | None = None,
     flags: tuple[str, ...] = (),
 ) -> Agreement:
-    """Run a program beside its controller on the first scenarios of a split.
+    """Run the program in a folder beside its controller on the first scenarios of a split.
 
-    Args:
-        folder: Folder with the sources.
-        loop: The loop that they were made from.
-        python: The same controller in Python, or what was recorded of it on these scenarios.
-        split: The split.
-        episodes: Number of scenarios.
-        toolchain: Compiler of the sources; by default this machine's.
-        flags: Further flags for the compiler.
+    `python` is the same controller in Python, or what was recorded of it on these scenarios. The compiler is by default
+    this machine's; `flags` are further ones for it.
 
     Raises:
         ValueError: If there is no compiler, or the sources do not compile.

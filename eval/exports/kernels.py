@@ -194,14 +194,7 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
 
 
 def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None, remembers: bool = False) -> Kernel:
-    """Step of a controller.
-
-    Args:
-        propose: Proposal of the controller.
-        guarded: Whether the guard stands behind it.
-        servo: Law of the servo that the guard falls back to; None if there is none.
-        remembers: Whether what the controller knows lasts from move to move.
-    """
+    """Step of a controller, which may remember from move to move; the guard behind it may fall back to a servo law."""
 
     def step(design: Guarded, limit: float, device: Device, memory: Guarded, count: int) -> float:
         observe(device, count)

@@ -73,15 +73,9 @@ class Scores:
 
 
 def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
-    """Read the scores of a policy, and run it for its mean reward.
+    """Read the scores of a policy from a `results.json`, which knows it by its SHA-256, and run it for its mean reward.
 
-    Args:
-        policy: Folder of the policy.
-        digest: Its SHA-256, by which results know it.
-        path: `results.json` of a comparison.
-
-    Returns:
-        The scores; None where the policy took no part in the comparison.
+    Returns None where the policy took no part in the comparison.
 
     Raises:
         ValueError: If the results are damaged, or of other scenarios than this checkout has.

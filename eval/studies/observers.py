@@ -155,13 +155,9 @@ class _Watched:
 
 
 def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes: int) -> dict[str, Score]:
-    """Watch a controller on the first scenarios of a split.
+    """Watch a controller on the first scenarios of a split; arms that leave their workspace are not scored.
 
-    Args:
-        acting: Name of a classical controller, or "student".
-        known: Watchers by name; each has an estimate at every `HOLD`-th sample.
-        split: Its arms that leave their workspace are not scored.
-        episodes: Number of scenarios.
+    Every watcher in `known` has an estimate at every `HOLD`-th sample.
 
     Raises:
         ValueError: If all arms leave their workspace.

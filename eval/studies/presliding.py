@@ -146,14 +146,10 @@ def verdicts(
 def run(
     controller: Controller, arms: int, model: str = CLEAN, deflection: float = 0.0, perturbation: float = 0.0
 ) -> Recording:
-    """Run a controller on arms of the training ranges.
+    """Run a controller on arms of the training ranges, whose friction has one of the models.
 
-    Args:
-        controller: What to run.
-        arms: Number of arms.
-        model: `CLEAN`, `ELEMENT` or `LUGRE`.
-        deflection: Deflection at which the motor breaks away, with its mean friction at the start [mrad].
-        perturbation: Added to the torsion at the beginning [rad].
+    `deflection` is that at which the motor breaks away, with its mean friction at the start [mrad]; `perturbation` is
+    added to the torsion at the beginning [rad].
     """
     env = BeltArmVectorEnv(arms, randomization="train", autoreset_mode=AutoresetMode.DISABLED)
     if model == LUGRE:

@@ -103,13 +103,7 @@ def planned(options: Options) -> list[Run]:
 
 
 def run_all(plan: list[Run], options: Options, tell: Callable[[str], object], stop: StopRequest) -> dict[str, Any]:
-    """Results of runs, by label; those that had finished before are only read.
-
-    Args:
-        plan: The runs.
-        options: Options of the study.
-        tell: Called with lines of text.
-        stop: Whether to stop.
+    """Results of runs, by label; those that had finished before are only read. `tell` gets lines of text.
 
     Raises:
         ValueError: If runs fail, once the others are through; finished ones are kept.

@@ -160,12 +160,9 @@ class Run:
         raise ValueError(f"{record}: {problem}; delete {self.folder}, or choose another --runs")
 
     def finish(self, arms: int, place: Path | None = None, channel: Channel | None = None) -> dict[str, Any]:
-        """Train, going on where an interrupted run stopped, and score the last policy.
+        """Train, going on where an interrupted run stopped, and score the last policy on some arms.
 
-        Args:
-            arms: Number of arms for the score.
-            place: Folder to work in, by default that of the run.
-            channel: Gets news, and asks to stop.
+        By default it works in the folder of the run; `channel` gets news, and asks to stop.
 
         Raises:
             ValueError: If the training fails, with its own message, or the folder holds another run.

@@ -157,14 +157,9 @@ def _drive_ratios(data: Data) -> Figure:
 
 
 def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height: float) -> Figure:
-    """Draw ratios of ringing with to without vibration feedback, and the medians of several.
+    """Draw ratios of ringing with to without vibration feedback, and the medians of several: a named row for each.
 
-    Args:
-        data: Of the study.
-        names: Of the rows.
-        ratios: By conditions, for each row, by phase.
-        lines: Rows over which there is a line.
-        height: Of the figure [in].
+    `ratios` are by conditions, for each row, by phase; `lines` are rows over which there is a line.
     """
     figure, axes = plt.subplots(1, 2, figsize=(9, height), layout="constrained", sharex=True, sharey=True)
     for axis, phase in zip(axes, ("stop", "end"), strict=True):

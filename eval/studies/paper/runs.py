@@ -113,12 +113,8 @@ def run_moves(
 ) -> Recording:
     """Run given moves side by side, or those that the environment draws from each of some seeds.
 
-    Args:
-        conditions: Arm and servo.
-        gains: Of the servo.
-        moves: What to run.
-        arms: An arm for each move in place of the conditions' one, which the controller goes on taking them for;
-            columns as `ArmParams`, shape (n, len(FIELDS)).
+    With `arms`, columns as `ArmParams`, each move has an arm of its own; the controller still takes it for the
+    conditions' one.
     """
     options: dict[str, Any] = {"params": asdict(conditions.arm) if arms is None else params_columns(arms)}
     if isinstance(moves, SeedRange):

@@ -165,14 +165,10 @@ class Motion:
 
 
 def motions(regime: str, arms: int, seed: int, samples: int = EPISODE_STEPS) -> list[Motion]:
-    """Arms, torques and where the kernel takes them.
+    """Arms, torques and where the kernel takes them in some samples; arm i has seed + i.
 
-    Args:
-        regime: "smooth", without Coulomb friction; "moves", as the benchmark has them; "stick-slip", a torque that goes
-            back and forth; or "drive", the same through `DRIVE`.
-        arms: Number of arms.
-        seed: Of the first arm; arm i has seed + i.
-        samples: Length of the motions.
+    A regime is "smooth", without Coulomb friction; "moves", as the benchmark has them; "stick-slip", a torque that goes
+    back and forth; or "drive", the same through `DRIVE`.
     """
     env = BeltArmVectorEnv(arms, randomization="ideal")
     env.reset(seed=seed)
