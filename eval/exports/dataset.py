@@ -11,8 +11,6 @@ An episode is disturbed in one of two ways, or not at all:
 The noise is of first order. Everything is drawn from the episode's own seed, and so the same in any batch.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import warnings
@@ -205,7 +203,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
 
 def pieces(
     controllers: Mapping[str, Controller], options: Options, settings: Mapping[str, Any]
-) -> Iterator[tuple[list[EpisodeBuffer], list[dict[str, Any]]]]:
+) -> Iterator[tuple[list["EpisodeBuffer"], list[dict[str, Any]]]]:
     """Run controllers in turn on the arms of a dataset, and return episodes with the metadata of each."""
     first = dataset_arms(options.seed).first
     for begin in range(first, first + options.episodes, PIECE):
@@ -263,7 +261,7 @@ def draw_disturbance(seed: int, share: float) -> Disturbance:
 
 def run_episodes(
     name: str, controller: Controller, seeds: Sequence[int], share: float, settings: Mapping[str, Any]
-) -> dict[int, tuple[EpisodeBuffer, dict[str, Any]]]:
+) -> dict[int, tuple["EpisodeBuffer", dict[str, Any]]]:
     """Run a controller on the arms of some seeds, side by side; each episode is that of a single environment.
 
     For `share` see `draw_disturbance`; `settings` are arguments of `BeltArmVectorEnv`. Returns each episode with its

@@ -1,7 +1,5 @@
 """Scores of a policy from the `results.json` of a comparison: for the Hub's model index, and in Markdown for people."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -105,7 +103,7 @@ def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | Non
     return next((name for name in own if not name.endswith(_GUARDED)), None)
 
 
-def eval_results(scores: Scores) -> list[EvalResult]:
+def eval_results(scores: Scores) -> list["EvalResult"]:
     """Entries of the Hub's model index: the cost on every split, and first `mean_reward`, where its rankings look."""
     from huggingface_hub import EvalResult
 

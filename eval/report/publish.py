@@ -47,7 +47,7 @@ from eval.report.figures import (
 )
 from eval.report.recordings import Scene, record_scenes, reference_angles
 from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five, save_figures
-from eval.report.summary import CONSTANTS
+from eval.report.summary import CONSTANTS, described, headline
 from eval.report.table import Record, Results, estimate, to_terminal
 from eval.report.text import degrees
 from eval.report.verdict import verdict
@@ -217,6 +217,8 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         legend.append({"method": method, "variable": f"--c{COLOURS.index(look['color'])}", "dashes": dashes})
     return environment.get_template("report.html").render(
         results=results,
+        headline=headline(results),
+        methods=described(results),
         drawing=_DRAWING.name,
         vibration=heading("residual_pp_mm"),
         band_mm=1000 * SETTLING_BAND,

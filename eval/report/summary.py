@@ -1,10 +1,12 @@
 """Tables and numbers of a comparison's page, and of its parts of the README, from a results.json alone.
 
-The words are in `docs/results/comparison`: `page.md.j2`, and for the README `answer.md.j2` and `results.md.j2`.
+The words are in `docs/results/comparison`: `page.md.j2`, and for the README a template for each of `BLOCKS`.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from beltarm_env import metrics
@@ -13,7 +15,7 @@ from eval.comparison.results import MOSTLY, PAIRED_METRICS
 from eval.comparison.schema import AGAINST
 from eval.comparison.splits import EDITION, SPLITS
 from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES
-from eval.report.table import Results, Table, difference_texts, to_markdown
+from eval.report.table import Results, Table, difference_texts, estimate, to_markdown
 from eval.report.text import markdown_table
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}
@@ -35,8 +37,10 @@ CONSTANTS: dict[str, Any] = {
     "reversal_swing": metrics.REVERSAL_SWING,
 }
 """Numbers of the method, for page and report."""
-BLOCKS = ("answer", "results")
+BLOCKS = ("answer", "results", "methods")
 """Parts of the README, each between markers of its name."""
+_METHODS: list[dict[str, Any]] = json.loads(Path(__file__).with_name("methods.json").read_text(encoding="utf-8"))
+_KINDS = {"learned": "learned method", "classical": "classical controller", "added": "added controller"}
 _ROWS = 5  # of the answer's table
 
 
@@ -49,7 +53,8 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         "costs": to_markdown(costs),
         "plain_costs": to_markdown(costs, intervals=False, seeds=True),
         "answer": to_markdown(_answer(results), intervals=False),
-        "headline": _headline(results),
+        "headline": headline(results),
+        "methods": described(results),
         "oracle": bool(costs.unranked),
         "tails": to_markdown(results.tails()),
         "torques": to_markdown(results.torques()),
@@ -93,14 +98,27 @@ def _pairs(results: Results, split: str) -> str:
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS)) if rows else ""
 
 
-def _headline(results: Results) -> dict[str, Any]:
-    """Numbers of the primary comparison on the main split: its tests by metric, and the rows of both methods."""
+def headline(results: Results) -> str:
+    """Answer of the primary comparison on the main split, in one sentence; empty where nothing is decided."""
     tests = {row["metric"]: row for row in results.content["primary"] if row["split"] == results.main}
     if "still_s" not in tests:
-        return {}
-    pair = (tests["cost"][role] for role in ("challenger", "classical"))
-    challenger, classical = (results.records[name, results.main]["metrics"]["still_s"]["iqm"] for name in pair)
-    return {**tests, "still": (1000 * challenger, 1000 * classical)}
+        return ""
+    cost, unsure = tests["cost"], {"open": " (no difference is shown)"}
+    pair = [results.records[cost[role], results.main] for role in ("challenger", "classical")]
+    after = "a move of a working shift" if results.main == "shift" else f"a move on {results.main}"
+    best = ["best " if results.of_kind(row["kind"])[0] == row["method"] else "" for row in pair]
+    names = [f"the {word}{_KINDS[row['kind']]}, {row['method']}" for word, row in zip(best, pair, strict=True)]
+    times = [f"{1000 * estimate(row, 'still_s').iqm:.0f} ms with {name}" for name, row in zip(names, pair, strict=True)]
+    still = ", and in ".join(times) + unsure.get(tests["still_s"]["result"], "")
+    change = f"{100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
+    return f"After {after} the arm's end is still in {still}; the move costs {change}{unsure.get(cost['result'], '')}."
+
+
+def described(results: Results) -> list[dict[str, Any]]:
+    """The project's own methods that took part, each in one line; methods that share a line are together."""
+    kinds = {row["method"]: row["kind"] for row in results.methods}
+    groups = [{**group, "methods": [name for name in group["methods"] if name in kinds]} for group in _METHODS]
+    return [{**group, "kind": kinds[group["methods"][0]]} for group in groups if group["methods"]]
 
 
 def _answer(results: Results) -> Table:
