@@ -143,5 +143,5 @@ def updated(readme: str, parts: dict[str, str]) -> str:
             raise ValueError(f"README.md has no {begin} and {end} to write between")
         before, rest = readme.split(begin, 1)
         _, after = rest.split(end, 1)
-        readme = f"{before}{begin}\n\n{text.strip()}\n\n{end}{after}"
+        readme = f"{before}{begin}\n{text.strip()}\n{end}{after}"
     return readme
