@@ -229,9 +229,6 @@ def reference_scores(randomization: str) -> tuple[float, float]:
     return -float(np.mean(low)), -float(np.mean(high))
 
 
-# Episodes
-
-
 class Disturbance(NamedTuple):
     """Disturbance of one episode."""
 

@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from baselines.tools.files import write_text
+from baselines.tools.progress import progress_over
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.metrics import ARRIVAL_BOUND, SETTLING_BAND, heading
 from beltarm_env.rollout import Recording
@@ -74,7 +75,8 @@ def publish(
     comparison = comparison.with_failures(failures)
     content = write_results(comparison, folder, *verdict(comparison))
     write_text(folder / "report.html", render(content, scenes))
-    save_figures(plots(Results(content), traces), folder)
+    for name, draw in progress_over("pictures", plots(Results(content), traces).items()):
+        save_figures({name: draw}, folder)
     return content, comparison.failures
 
 
@@ -102,9 +104,8 @@ def plots(results: Results, traces: Sequence[Scene]) -> dict[str, Callable[[], F
     """Recipes of all pictures, by the names of their files."""
     colours = colours_of(results, traces)
     note = f"Scenarios of the {results.label.title}"
-    recipes = {name: partial(_motions, draw, traces, colours, note) for name, draw in _MOTIONS.items() if traces}
     return {
-        **recipes,
+        **{name: partial(_motions, draw, traces, colours, note) for name, draw in _MOTIONS.items() if traces},
         "answer.png": partial(_answer, results, note),
         "intervals.png": partial(_intervals, results, note),
     }

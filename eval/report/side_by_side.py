@@ -5,7 +5,7 @@ Films are GIF, or MP4 where imageio-ffmpeg is installed.
 
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from baselines.tools.files import write_atomically
+from baselines.tools.progress import progress_over
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
@@ -94,7 +95,7 @@ def write(tracks: list[Track], speed: float, path: Path) -> None:
         OSError: If it cannot be written.
     """
     fps = FPS[path.suffix]
-    shown = list(_frames(tracks, _samples(tracks, speed, fps)))
+    shown = list(_frames(tracks, progress_over("pictures", _samples(tracks, speed, fps))))
     if path.suffix == ".gif":  # in the colours of the middle picture: half the size, and no flicker
         palette = Image.fromarray(shown[len(shown) // 2]).quantize(_GIF_COLOURS)
         few = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in shown)
@@ -128,7 +129,7 @@ def _samples(tracks: list[Track], speed: float, fps: int) -> list[int]:
     return [int(k) for k in np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, speed / fps) - 1e-9)]
 
 
-def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
+def _frames(tracks: list[Track], samples: Iterable[int]) -> Iterator[np.ndarray]:
     """Pictures of all arms, each of shape (height, width, 3)."""
     pygame = import_pygame()
     pygame.font.init()
