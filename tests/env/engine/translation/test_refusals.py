@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import refused
-from translating import translate
 
+from beltarm_env.engine.translation.arrays import contiguous
+from beltarm_env.engine.translation.function import Function
 from beltarm_env.engine.translation.program import Program
-from beltarm_env.engine.translation.types import NotConstantError, TranslationError
+from beltarm_env.engine.translation.types import Array, NotConstantError, Scalar, TranslationError, dtype_of
 
 HEAD = """
 from typing import NamedTuple
@@ -128,4 +129,16 @@ def test_refused(number: int, tmp_path: Path):
     first = head.count("\n") + 1
     marked = [k for k, line in enumerate(lines, first) if line.endswith("#")]
     place = [f"(in kernel, {path.name}, line {line})" for line in marked]
-    refused((TranslationError, NotConstantError), (*words, *place), lambda: translate(module.kernel, given, Program()))
+
+    def translate() -> None:
+        program = Program()
+        program.call(Function(program, {}, {}), module.kernel, [*map(value_of, "abc", given)])
+
+    refused((TranslationError, NotConstantError), (*words, *place), translate)
+
+
+def value_of(name: str, argument: Any) -> Scalar | Array:
+    """Argument of an exported program, where shapes of arrays are known."""
+    if isinstance(argument, np.ndarray):
+        return Array(dtype_of(argument.dtype), argument.shape, contiguous(argument.shape), name, memory=name)
+    return Scalar(dtype_of(type(argument)), name)
