@@ -1,103 +1,50 @@
-"""A headless Chromium, driven by its DevTools protocol."""
+"""A page in a headless Chromium, asked by a script that stands in a copy of it."""
 
+import html
 import json
+import re
 import shutil
 import subprocess
-import time
-import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-_QUIET = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
-_QUIET += " --disable-component-update --disable-sync --disable-dev-shm-usage --remote-debugging-port=0"
-_PATIENCE = 60.0  # s
+_QUIET = "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --window-size=1500,1000"
+_QUIET += " --virtual-time-budget=60000 --dump-dom"
+_LISTEN = """<script>
+const complaints = [], requests = () => performance.getEntriesByType("resource").map((entry) => entry.name);
+for (const kind of ["error", "unhandledrejection", "securitypolicyviolation"])
+  addEventListener(kind, (event) => complaints.push(kind + String(event.message || event.reason || event.blockedURI)));
+requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 16);  // no frame is drawn here
+for (const kind of ["error", "warn", "assert"]) console[kind] = (...words) => complaints.push(String(words));
+</script>"""
+_ASK = """<script>
+addEventListener("load", async () => {
+  const answer = await (async () => { %s })().catch((error) => String(error));
+  parent.postMessage(JSON.stringify([answer, complaints, requests()]), "*");
+});
+</script>"""
+_FRAME = """<iframe src="asked.html" style="width: %dpx; height: 900px; border: 0"></iframe><pre id="told"></pre>
+<script>addEventListener("message", ({data}) => { document.getElementById("told").textContent = data; });</script>"""
 
 
-class Page:
-    def __init__(self, socket: Any) -> None:
-        self._socket = socket
-        self._count = 0
-        self.complaints: list[str] = []
-        self.requests: list[str] = []
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.call(f"{domain}.enable")
+def asked(page: Path, script: str, folder: Path, width: int = 1400) -> Any:
+    """What a script returns on a page of some width, which must neither complain nor load anything.
 
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
-        self._count += 1
-        self._socket.send(json.dumps({"id": self._count, "method": method, "params": params}))
-        while True:
-            message = self._receive()
-            if message.get("id") == self._count:
-                assert "error" not in message, message["error"]
-                return message["result"]
-
-    def _receive(self) -> dict[str, Any]:
-        message = json.loads(self._socket.recv(timeout=_PATIENCE))
-        params = message.get("params", {})
-        match message.get("method"):
-            case "Runtime.exceptionThrown":
-                self.complaints.append(str(params["exceptionDetails"]))
-            case "Runtime.consoleAPICalled" if params["type"] in ("error", "warning", "assert"):
-                self.complaints.append(str(params["args"]))
-            case "Log.entryAdded" if params["entry"]["level"] in ("error", "warning"):
-                self.complaints.append(params["entry"]["text"])
-            case "Network.requestWillBeSent":
-                self.requests.append(params["request"]["url"])
-        return message
-
-    def open(self, path: Path, width: int = 1400, height: int = 900, dark: bool = False) -> None:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.call("Emulation.setEmulatedMedia", features=[scheme])
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        while self._receive().get("method") != "Page.loadEventFired":
-            pass
-
-    def run(self, script: str) -> Any:
-        """Value of a JavaScript expression."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
-
-
-@contextmanager
-def browser(folder: Path) -> Iterator[Page]:
-    """A page in a browser that keeps its things in `folder`; skips the test where there is no browser."""
+    The test is skipped where there is no browser.
+    """
     program = next(filter(None, map(shutil.which, _NAMES)), None)
     if program is None:
         pytest.skip(f"needs a browser: none of {', '.join(_NAMES)} is installed")
-    client = pytest.importorskip("websockets.sync.client")
-    process = subprocess.Popen(
-        [program, *_QUIET.split(), f"--user-data-dir={folder}", "about:blank"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        port = _port(folder / "DevToolsActivePort", process)
-        with client.connect(_address(port), max_size=None, compression=None, proxy=None) as socket:
-            yield Page(socket)
-    finally:
-        process.terminate()
-        process.wait(timeout=_PATIENCE)
-
-
-def _port(file: Path, process: subprocess.Popen[bytes]) -> int:
-    deadline = time.monotonic() + _PATIENCE
-    while not (file.exists() and file.read_text().count("\n")):
-        if process.poll() is not None or time.monotonic() > deadline:
-            pytest.skip("the browser does not start here")
-        time.sleep(0.1)
-    return int(file.read_text().split()[0])
-
-
-def _address(port: int) -> str:
-    """Address of the first page's socket."""
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    with opener.open(f"http://127.0.0.1:{port}/json/list", timeout=_PATIENCE) as answer:
-        return next(page["webSocketDebuggerUrl"] for page in json.load(answer) if page["type"] == "page")
+    text, frame = page.read_text(encoding="utf-8"), folder / "frame.html"
+    text = text.replace("<head>", f"<head>{_LISTEN}", 1).replace("</body>", f"{_ASK % script}</body>", 1)
+    (folder / "asked.html").write_text(text, encoding="utf-8")
+    frame.write_text(_FRAME % width, encoding="utf-8")  # a window has a least width, a frame has none
+    command = [program, *_QUIET.split(), f"--user-data-dir={folder}", frame.as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    (told,) = re.findall('<pre id="told">(.*?)</pre>', shown)
+    answer, complaints, requests = json.loads(html.unescape(told))
+    assert complaints == [] and all(address.startswith("data:") for address in requests), (complaints, requests)
+    return answer
