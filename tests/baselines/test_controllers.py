@@ -16,8 +16,6 @@ from refusals import refused
 
 import baselines
 from baselines import CONTROLLERS, TUNABLE, PaperController
-from baselines.optimal.adaptive import AdaptiveController
-from baselines.optimal.adaptive_law import begun, renewed, torque
 from baselines.reading import read, sample_of
 from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv, observation
@@ -35,6 +33,7 @@ CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 }
 STEPS = 160
 KERNELS = [name for name, make in CONTROLLERS.items() if hasattr(make(), "kernel") and name != "adaptive"]
+"""That of `adaptive` takes a minute to compile: `tests/eval/exports/test_program.py` looks at it, as a program."""
 MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
 
 
@@ -93,44 +92,22 @@ def spoilt(memory: Any) -> Any:
     return memory
 
 
-def assert_law_of_one_arm(controller: Any, torque: Callable[..., float], memory: Any) -> None:
-    """Compare the torques of one arm, from `torque(now, begins, memory)`, with the middle one of a batch of three."""
-    spoilt(memory)
-    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
-    batch: Any = None
-    for turn, payload in enumerate((None, None, 0.0, 0.4)):  # two episodes, of which the second has three moves
-        seen = env.reset(seed=VALIDATION.first + 3 * turn)[0] if payload is None else next_move(env, payload)
-        begins = np.full(3, payload is None or not isinstance(controller, AdaptiveController))
-        for k in range(STEPS):
-            reading = read(seen, controller.params)._replace(holds_part=np.full(3, float(payload != 0.0)))
-            expected, batch = controller.law(reading, begins, batch)
-            assert torque(sample_of(reading, 1), bool(begins[1]), memory) == expected[1], k
-            action = np.clip(expected / controller.params.torque_limit, -1, 1)
-            seen, *_ = env.step(action.astype(np.float32)[:, None])
-            begins = np.zeros(3, np.bool_)
-
-
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_kernel_is_the_law_of_one_arm(name: str):
+    """The middle one of a batch of three, which sets out from rest, and again while it moves, with another payload."""
     controller = CONTROLLERS[name]()
     law, design, memory = controller.kernel()
-    assert_law_of_one_arm(controller, partial(law, design), memory)
-
-
-@pytest.mark.slow  # it takes a minute to compile; as a program it is looked at in `tests/eval/exports/test_program.py`
-def test_the_kernel_of_adaptive_may_renew_its_plan_after_the_torque():
-    controller = CONTROLLERS["adaptive"]()
-    _, design, memory = controller.kernel()
-    last: list[Any] = []
-
-    def apart(now: Any, begins: bool, memory: Any) -> float:
-        if not begins and last:
-            renewed(design, last[-1], memory)
-        begun(design, now, begins, memory)
-        last.append(now)
-        return torque(design, now, memory)
-
-    assert_law_of_one_arm(controller, apart, memory)
+    spoilt(memory)
+    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
+    seen, batch = env.reset(seed=VALIDATION.first)[0], None
+    for _ in range(2):
+        for k in range(STEPS):
+            reading = read(seen, controller.params)
+            expected, batch = controller.law(reading, np.full(3, k == 0), batch)
+            assert law(design, sample_of(reading, 1), k == 0, memory) == expected[1], k
+            action = np.clip(expected / controller.params.torque_limit, -1, 1)
+            seen, *_ = env.step(action.astype(np.float32)[:, None])
+        seen = next_move(env, 0.4)
 
 
 @cache
@@ -198,11 +175,6 @@ class TestGains:
             for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
                 refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
             refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
-
-    def test_are_the_same_with_an_accelerometer(self):
-        assert set(WITH_ACCELEROMETER) <= set(CONTROLLERS)
-        assert all(CONTROLLERS[name]().sensors == "encoder" for name in WITH_ACCELEROMETER)
-        assert all(WITH_ACCELEROMETER[name]().gains == CONTROLLERS[name]().gains for name in WITH_ACCELEROMETER)
 
 
 COSTS = """
