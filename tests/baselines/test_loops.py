@@ -18,7 +18,7 @@ from baselines.gains import tuned
 from baselines.loops.condition import MarginCondition, believing, least_margins
 from baselines.loops.laws import law_of
 from baselines.loops.margins import Margins, margins, margins_from_poles
-from baselines.loops.models import Loop, System, closed_poles, is_stable, law_system, loop_at, sampled_arm
+from baselines.loops.models import Loop, System, is_stable, law_system, loop_at, sampled_arm
 from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
@@ -67,27 +67,28 @@ def resting_observation(joint: float, state: Floats, before: float, last_command
     return np.array([list(values.values())]) / observation.scales()
 
 
-def at_work(name: str, controller: Any, k: int, pulse: float) -> Floats:
-    """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (STEPS,).
+def response(name: str, controller: Any, k: int, pulse: float) -> Floats:
+    """What a pulse of torque adds to the angle of a motor under the real controller, shape (STEPS,) [rad].
 
     The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
     from standing still, which observers take for sticking, and is too faint for an identification to see how fine the
-    encoder is: it is told.
+    encoder is: it is told. Two arms are simulated, of which the first gets the pulse.
     """
     begin = SETTLED.get(name, 300)
     joint = float(np.float32(ANGLES[k]))
-    plant, noise = ArmSimulation(controller.params), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
-    state = plant.at_rest(np.array([88 * joint]))[0]
-    angles, memory, last = [state[0]], None, 0.0
+    plant, noise = ArmSimulation(controller.params, 2), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
+    states = plant.at_rest(np.full(2, 88 * joint))
+    angles, memory, last = [states[:, 0]], None, np.zeros(2)
     for i in range(begin + STEPS):
-        angles.append(state[0])
-        action, memory = controller.predict(resting_observation(joint, state[:4], angles[i], last), memory)
+        angles.append(states[:, 0])
+        seen = [resting_observation(joint, *arm) for arm in zip(states, angles[i], last, strict=True)]
+        action, memory = controller.predict(np.concatenate(seen), memory)
         if isinstance(memory, AdaptiveMemory):
-            memory = replace(memory, belief=replace(memory.belief, count=np.array([QUANTUM])))
-        last = float(action[0, 0]) * 0.3
-        torque = last + noise[i] + (pulse if i == begin else 0.0)
-        state = plant.advance(state[None], np.array([torque]))[0]
-    return np.array(angles[begin + 1 :])
+            memory = replace(memory, belief=replace(memory.belief, count=np.full(2, QUANTUM)))
+        last = action[:, 0].astype(float) * 0.3
+        states = plant.advance(states, last + noise[i] + (np.array([pulse, 0.0]) if i == begin else 0.0))
+    with_pulse, without = np.array(angles[begin + 1 :]).T
+    return with_pulse - without
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str
     driven = replace(DRIVEN, command_latency=(latency or 0.0) * CONTROL_PERIOD)
     params, pulse = FRICTIONLESS if latency is None else driven, 1e-6
     controller = frictionless(name, params)
-    motion = at_work(name, controller, k, pulse) - at_work(name, controller, k, 0.0)
+    motion = response(name, controller, k, pulse)
     law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
     closed: Any = control.feedback(arm, cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
@@ -123,14 +124,9 @@ def usual(name: str) -> Any:
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 class TestMargins:
-    def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
-        for k in range(len(ANGLES)):
-            assert np.abs(closed_poles(loop_at(usual(name), k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
-
-    @pytest.mark.parametrize("arm", ["design model", "payload, soft"])
-    def test_are_those_of_the_frequency_response(self, name: str, arm: str):
+    def test_are_those_of_the_frequency_response(self, name: str):
         """As python-control has it, on a fine grid."""
-        loop = loop_at(usual(name), 30, CORNERS[arm])
+        loop = loop_at(usual(name), 30, CORNERS["payload, soft"])
         actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 8000)
         law, plant = (np.asarray(as_control(each)(np.exp(1j * turns))) for each in loop)
         values = -law * plant
