@@ -132,40 +132,27 @@ class TestMeasurementEquation:
         assert variance[1, 1] == pytest.approx(SPREAD**2) and variance[1, 0] > 1e5
 
 
-class TestGains:
-    noise = Noise(torque=5e-3, acceleration=0.3, disturbance=1e-3)
-
-    def arm(self, k: int) -> tuple[LinearArms, Floats]:
-        params = design_model()
-        return LinearArms(*(part[k] for part in linear_arm(params))), acceleration_slopes(ANGLES[k], params.plant())
-
-    def test_are_those_of_a_filter_that_also_keeps_the_state_before(self):
-        """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
-        k, spread = 20, (SPREAD, 3 * SPREAD)
-        arm, slopes = self.arm(k)
-        single, process = np.eye(5), np.zeros((5, 5))
-        single[:4, :4], single[:4, 4] = arm.transition, arm.by_torque
-        for by_noise, deviation in ((arm.by_torque, 5e-3), (arm.by_acceleration, 0.3)):
-            process[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
-        process[4, 4] = 1e-6 * CONTROL_PERIOD
-        transition, both = np.zeros((10, 10)), np.zeros((10, 10))
-        transition[:5, :5], transition[5:, :5], both[:5, :5] = single, np.eye(5), process
-        seen = np.zeros((3, 10))
-        seen[0, 0], seen[1:, :4], seen[1:, 5:9] = 1.0, slopes, -slopes
-        measured = np.diag([QUANTUM**2 / 12, *np.square(spread)])
-        after, gain = np.diag([1e-6, 1e-2, 1e-6, 1e-2, 1e-4, *[0.0] * 5]), np.empty(0)
-        for _ in range(6000):
-            before = transition @ after @ transition.T + both
-            gain = before @ seen.T @ np.linalg.inv(seen @ before @ seen.T + measured)
-            after = before - gain @ seen @ before
-        actual = steady_accelerometer_gain(arm, slopes, self.noise, 1.0, spread)
-        np.testing.assert_allclose(actual / np.abs(actual).max(0), gain[:5] / np.abs(actual).max(0), atol=1e-5)
-
-    def test_an_accelerometer_that_tells_nothing_leaves_those_of_the_encoder(self):
-        arm, slopes = self.arm(11)
-        actual = steady_accelerometer_gain(arm, slopes, self.noise, 1.0, (1e6, 1e6))
-        np.testing.assert_allclose(actual[:, 0], kalman_gains(design_model(), self.noise)[11], rtol=1e-5)
-        assert np.abs(actual[:, 1:]).max() < 1e-6
+def test_gains_are_those_of_a_filter_that_also_keeps_the_state_before():
+    """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
+    k, params, spread = 20, design_model(), (SPREAD, 3 * SPREAD)
+    arm, slopes = LinearArms(*(part[k] for part in linear_arm(params))), acceleration_slopes(ANGLES[k], params.plant())
+    single, process = np.eye(5), np.zeros((5, 5))
+    single[:4, :4], single[:4, 4] = arm.transition, arm.by_torque
+    for by_noise, deviation in ((arm.by_torque, 5e-3), (arm.by_acceleration, 0.3)):
+        process[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
+    process[4, 4] = 1e-6 * CONTROL_PERIOD
+    transition, both = np.zeros((10, 10)), np.zeros((10, 10))
+    transition[:5, :5], transition[5:, :5], both[:5, :5] = single, np.eye(5), process
+    seen = np.zeros((3, 10))
+    seen[0, 0], seen[1:, :4], seen[1:, 5:9] = 1.0, slopes, -slopes
+    measured = np.diag([QUANTUM**2 / 12, *np.square(spread)])
+    after, gain = np.diag([1e-6, 1e-2, 1e-6, 1e-2, 1e-4, *[0.0] * 5]), np.empty(0)
+    for _ in range(6000):
+        before = transition @ after @ transition.T + both
+        gain = before @ seen.T @ np.linalg.inv(seen @ before @ seen.T + measured)
+        after = before - gain @ seen @ before
+    actual = steady_accelerometer_gain(arm, slopes, Noise(5e-3, 0.3, 1e-3), 1.0, spread)
+    np.testing.assert_allclose(actual / np.abs(actual).max(0), gain[:5] / np.abs(actual).max(0), atol=1e-5)
 
 
 def test_kinematic_error_and_zero_g_output_are_found():
@@ -222,13 +209,17 @@ class TestIdentification:
     @pytest.mark.parametrize("deflection", [0.0005, 0.004, 0.02])
     def test_presliding_is_found_where_the_encoder_shows_it_and_the_motor_does_not_hunt(self, deflection: float):
         ranges = {**TRAIN_RANGES, "presliding_deflection": (deflection, deflection)}
-        env = batch(12, randomization=ranges)
-        belief = believed_after(AdaptiveController(tuned("adaptive", AdaptiveGains)), env)
-        found = NOMINAL_DEFLECTION * np.exp(belief.tracks.mean[:, GIVING])
+        env, controller = batch(12, randomization=ranges), AdaptiveController(tuned("adaptive", AdaptiveGains))
+        seen, memory, angles = env.reset(seed=TRAIN_SEED)[0], None, []
+        for _ in range(EPISODE_STEPS):
+            action, memory = controller.predict(seen, memory)
+            seen = env.step(action)[0]
+            angles.append(env.state[:, 0])
+        assert memory is not None
+        found = NOMINAL_DEFLECTION * np.exp(memory.belief.tracks.mean[:, GIVING])
         if deflection > 0.002:  # the encoder shows a smaller one hardly at all: its counts are of 1.6 mrad
             assert np.median(np.abs(np.log(found / deflection))) < np.log(2.5)
-        run = rollout(AdaptiveController(tuned("adaptive", AdaptiveGains)), 12, seed=TRAIN_SEED, randomization=ranges)
-        swing = np.ptp(run.state[-240:, :, 0], axis=0)  # of the motors, in the last 0.36 s
+        swing = np.ptp(angles[-240:], axis=0)  # of the motors, in the last 0.36 s
         assert np.median(swing) < 2 * deflection + 0.005
 
     @pytest.mark.parametrize(
