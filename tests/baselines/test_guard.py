@@ -16,7 +16,6 @@ from baselines.guard import guard
 from baselines.guard.controller import guarded, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
-from baselines.servo.flat import FlatController
 from beltarm_env import CONTROL_PERIOD, design_model
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
@@ -131,10 +130,6 @@ class TestKernel:
         assert bench.steps(3 * WAIT, base=0.0, residual=0.0)[1] == guard.PASSIVE_LEVEL, "for the rest of the move"
         bench.begins = True
         assert bench.step()[1] == guard.LEARNED_LEVEL
-
-
-def test_a_servo_takes_over_from_a_base_with_an_observer():
-    assert isinstance(guarded("adaptive").servo, FlatController) and guarded("paper").servo is None
 
 
 @pytest.mark.parametrize("value", [0.0, math.nan, 2e6, True, "1"])
