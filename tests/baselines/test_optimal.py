@@ -22,7 +22,7 @@ from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minim
 from baselines.optimal.horizon import _set_up, horizon
 from baselines.optimal.lqg import feedback_gains
 from baselines.optimal.robust import RobustController
-from baselines.planning.plan import Weights
+from baselines.planning.plan import GAIN, TORQUE, Weights, planned
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.physics.sampled import sampled_state_space
@@ -66,6 +66,11 @@ class TestFeedbackGains:
             cost = solve_discrete_are(a, b[:, None], prices(weights, float(ANGLES[k])), np.array([[weights.change]]))
             expected = b @ cost @ a / (weights.change + b @ cost @ b) - [0, 0, 0, 0, 1]  # of the torque, not its change
             np.testing.assert_allclose(gains[k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+    def test_are_those_of_a_plan_at_rest(self):
+        plan = planned(np.array([0.3, ANGLES[22], 0.5, 0.1]), ArmParams().row(), Weights(0.3, 2.0, 20.0))
+        gains = feedback_gains(ArmParams(), Weights(0.3, 2.0, 20.0))
+        np.testing.assert_allclose(plan[500, GAIN:TORQUE], gains[22], rtol=1e-4)
 
     @pytest.mark.parametrize("speed", [0.0, 1.7])
     def test_errors_are_the_tips(self, speed: float):
