@@ -193,6 +193,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"entries": [["motor_angle_error", "deg", 1.5, 200.0]]}, "motor_angle_error.*deg"),
     ({"entries": [["motor_angle_error", "rad", 3.0, 200.0]]}, "motor_angle_error.*3.0"),
     ({"hidden": [10**9, 10**9]}, str(10**9)),
+    ({"hidden": [4] * 9}, "8 hidden"),
     ({"hidden": [8, 8]}, "does not hold the weights"),
     ({"gru": 4, "lstm": 4}, "an LSTM or a GRU"),
     ({"lstm": 4}, "does not hold the weights"),

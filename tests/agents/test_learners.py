@@ -85,7 +85,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"seed": MAX_TRAINING_SEED, "seeds": 2}, "--seed"),
     ("ppo", {"learning_rate": float("nan")}, "--learning-rate .* nan"),
     ("ppo", {"gamma": 1.5}, "--gamma .* 1.5"),
-    ("ppo", {"hidden": (0,)}, "hidden"),
+    *(("ppo", {"hidden": (width,)}, f"hidden.*{width}") for width in (0, 1025, True)),
     ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
     ("ppo", {"resume": True}, "nothing to resume"),
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),

@@ -27,19 +27,6 @@ from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import VALIDATION
 
 ROOT = Path(__file__).resolve().parents[2]
-INPUTS = 3
-
-
-def test_sizes_that_are_not_allowed():
-    for change, words in (
-        *(({"hidden": (0,)}, ("hidden", "0")), ({"hidden": (4, 1025)}, ("hidden", "1025"))),
-        *(({"hidden": (4, True)}, ("True",)), ({"hidden": (4,) * 9}, ("8 hidden", "9"))),
-        *(({"lstm": -1}, ("LSTM", "-1")), ({"gru": 1025}, ("GRU", "1025")), ({"lstm": 4, "gru": 5}, ("4 and 5",))),
-        ({"activation": "gelu"}, ("activation", "'gelu'")),
-    ):
-        refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
-    shapes = ActorShape(INPUTS, (4,)), ActorShape(INPUTS, (4,), gru=7), ActorShape(INPUTS, (4,), lstm=1024)
-    assert [shape.memory for shape in shapes] == [(0,), (7,), (2, 1024)]
 
 
 def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
