@@ -63,17 +63,6 @@ def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: i
         np.testing.assert_array_equal(answers(policy, seen[:, rows]), whole[:, rows])
 
 
-def test_a_memory_begins_anew_where_an_episode_does():
-    shape = SHAPES["student"]
-    policy, seen = NetworkPolicy(lively(shape).weights()), 0.1 * episodes(shape, 3, 4)
-    _, memory = policy.predict(seen[0])
-    residual, following = policy.predict(seen[1], memory, np.array([False, True, False]))
-    fresh, _ = policy.predict(seen[1])
-    on, _ = policy.predict(seen[1], memory)
-    assert residual[1] == fresh[1] != on[1] and residual[0] == on[0] != fresh[0]
-    assert following is not None and following.shape == (3, shape.gru)
-
-
 WITHOUT = """
 import sys
 import numpy as np
