@@ -15,7 +15,6 @@ from baselines import CONTROLLERS
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.actuator import dead_time
-from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
@@ -179,14 +178,6 @@ NOISE, LOUD = Noise(5e-3, 0.3, 1e-3), Noise(0.014, 1.7, 0.01)
 
 
 class TestRobust:
-    def test_arms_around_the_design_model_are_the_corners(self):
-        arms = robust.arms_around(DESIGN)
-        for name, corner in CORNERS.items():
-            wanted = [getattr(corner, field) for field in LOOP_FIELDS]
-            assert any(np.allclose([getattr(arm, field) for field in LOOP_FIELDS], wanted, 1e-9) for arm in arms), name
-        latencies = sorted({round(arm.command_latency / CONTROL_PERIOD, 6) for arm in arms})
-        assert latencies == [0.0, 0.75, 1.5, 2.5], "late ones come with a sample more, too"
-
     @pytest.mark.parametrize("k", [0, 20, 45])
     def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
         controller = RobustController()
