@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import python
-from episodes import assert_same_in_batches, next_move, torques
+from episodes import assert_same_in_batches, next_move
 from refusals import refused
 
 import baselines
@@ -21,6 +21,7 @@ from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
+from eval.comparison import check
 
 ROOT = Path(__file__).parents[2]
 SEED = 5_000_000
@@ -47,13 +48,6 @@ def test_public_names_are_imported_on_first_use():
     refused(AttributeError, ("'baselines'", "'Paper'"), lambda: baselines.Paper)
 
 
-def observations(seed: int) -> np.ndarray:
-    """Observations of a few arms with an accelerometer under random torques, shape (120, 4, size)."""
-    env = BeltArmVectorEnv(4, randomization="ideal", sensors="accelerometer")
-    first, pushes = env.reset(seed=seed)[0], 0.4 * torques(119, hold=10)
-    return np.stack([first, *(env.step(np.full((4, 1), push))[0] for push in pushes)])
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: str):
     make, options = CASES[name]
@@ -61,19 +55,15 @@ def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: 
 
 
 @pytest.mark.parametrize("name", WITH_ACCELEROMETER)
-def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(name: str):
-    """For the encoder alone the checks of a user's controller look at it, in `tests/eval/test_check_controller.py`."""
-    first, second = observations(SEED), observations(SEED + 100_000)
-    controller, starts, memory, fresh = WITH_ACCELEROMETER[name](), np.array([False, True, False, True]), None, None
-    for seen in first[:60]:
-        _, memory = controller.predict(seen, memory)
-    undisturbed = memory
-    for k in range(60):
-        seen = np.where(starts[:, None], second[k], first[60 + k])
-        action, memory = controller.predict(seen, memory, starts & (k == 0))
-        on, undisturbed = controller.predict(first[60 + k], undisturbed)
-        new, fresh = controller.predict(second[k], fresh)
-        np.testing.assert_array_equal(action, np.where(starts[:, None], new, on))
+def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
+    """By the checks of a user's controller, as for the encoder alone in `tests/eval/test_check_controller.py`."""
+    monkeypatch.setattr(check, "drive", partial(check.drive, sensors="accelerometer"))
+    monkeypatch.setattr(check, "_STEPS", STEPS)
+    known = check.record(WITH_ACCELEROMETER[name]())
+    for holds in (check._afresh, check._in_the_state):
+        assert holds(WITH_ACCELEROMETER[name], known) == "bit for bit"
 
 
 @pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])
