@@ -168,6 +168,7 @@ def test_kinematic_error_and_zero_g_output_are_found():
 
 TRAIN_SEED = 5_000_000
 ROWS = [FIELDS.index(name) for name in IDENTIFIED]
+VARIATION = COLUMN.friction_variation, COLUMN.friction_variation_phase  # of friction over the turn
 
 
 def batch(count: int, seed: int = TRAIN_SEED, **settings: Any) -> BeltArmVectorEnv:
@@ -205,6 +206,9 @@ class TestIdentification:
         for name, bound in most.items():
             assert np.sqrt(np.mean(error[:, IDENTIFIED.index(name)] ** 2)) < bound, name
         assert np.sqrt(np.mean((belief.delay - true_delays(env)) ** 2)) < 0.1  # samples
+        tables, (size, phase) = (env.params_table, ArmIdentifier(design_model()).table(belief)), VARIATION
+        true, believed = (table[:, size] * np.exp(1j * table[:, phase]) for table in tables)
+        assert np.median(np.abs(believed - true)) < 0.03
 
     @pytest.mark.parametrize("deflection", [0.0005, 0.004, 0.02])
     def test_presliding_is_found_where_the_encoder_shows_it_and_the_motor_does_not_hunt(self, deflection: float):
@@ -232,14 +236,6 @@ class TestIdentification:
         belief = believed_after(AdaptiveController(params=nominal), env, 150)
         assert np.sqrt(np.mean((belief.delay - true_delays(env) - delay) ** 2)) < 0.2
         np.testing.assert_allclose(belief.count, 2 * np.pi / counts, rtol=0.05)
-
-    def test_finds_how_friction_varies_over_the_turn(self):
-        env = batch(32, randomization={**TRAIN_RANGES, "friction_variation": (0.2, 0.25)})
-        belief, table = believed_after(AdaptiveController(), env, 600), env.params_table
-        actual = ArmIdentifier(design_model()).table(belief)
-        of = COLUMN.friction_variation, COLUMN.friction_variation_phase
-        true, believed = (t[:, of[0]] * np.exp(1j * t[:, of[1]]) for t in (table, actual))
-        assert np.median(np.abs(believed - true)) < 0.03
 
 
 class TestParts:
