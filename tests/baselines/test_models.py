@@ -1,7 +1,6 @@
 """What controllers know of their arm: simulation, linear models, rigid torque, friction, flatness."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,7 +21,6 @@ from baselines.models.rigid_arm import rigid_torque
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
 from beltarm_env.arm import params_table
 from beltarm_env.simulation import ArmSimulation
-from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
 GEAR = 88.0
@@ -30,35 +28,24 @@ NOMINAL = ArmParams()
 Floats = NDArray[np.float64]
 
 
-class TestSimulation:
-    @pytest.mark.parametrize(("model", "randomization"), [("lumped", "train"), ("lagrangian", "ideal")])
-    def test_is_the_environment_bit_for_bit(self, model: Any, randomization: Any):
-        rng = np.random.default_rng(0)
-        env = BeltArmVectorEnv(150, autoreset_mode="Disabled", model=model, randomization=randomization)
-        latency = np.concatenate([CONTROL_PERIOD * np.arange(4.0), rng.uniform(0, 3 * CONTROL_PERIOD, 146)])
-        drives = {} if randomization == "ideal" else {"friction_drift": 0.0, "command_latency": latency}
-        env.reset(seed=5_000_000, options={"params": drives})
-        simulation = ArmSimulation(env.params, model=model)
-        states = simulation.at_rest(env.state[:, 0])
-        states[:, :4] = env.state
-        for _ in range(80):
-            action = rng.uniform(-0.6, 0.6, (150, 1)).astype(np.float32)
-            env.step(action)
-            before = states.copy()
-            following = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
-            np.testing.assert_array_equal(states, before, "what was given is left alone")
-            states = following
-        np.testing.assert_array_equal(states[:, :4], env.state)
-
-    def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
-        arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
-        simulation, torques = ArmSimulation(arms), np.full(4, 0.1)
-        states = simulation.at_rest(np.array([60.0, 61.0, 62.0, 63.0]))
-        once = simulation.advance(states, torques)
-        twice = simulation.advance(once, torques)
-        actual = simulation.ahead(states, torques, np.array([0.0, 1.0, 2.0, 1.25]))
-        for arm, expected in enumerate((states, once, twice, once + 0.25 * (twice - once))):
-            np.testing.assert_allclose(actual[arm], expected[arm, :4], rtol=1e-13)
+@pytest.mark.parametrize(("model", "randomization"), [("lumped", "train"), ("lagrangian", "ideal")])
+def test_simulation_is_the_environment_bit_for_bit(model: Any, randomization: Any):
+    rng = np.random.default_rng(0)
+    env = BeltArmVectorEnv(150, autoreset_mode="Disabled", model=model, randomization=randomization)
+    latency = np.concatenate([CONTROL_PERIOD * np.arange(4.0), rng.uniform(0, 3 * CONTROL_PERIOD, 146)])
+    drives = {} if randomization == "ideal" else {"friction_drift": 0.0, "command_latency": latency}
+    env.reset(seed=5_000_000, options={"params": drives})
+    simulation = ArmSimulation(env.params, model=model)
+    states = simulation.at_rest(env.state[:, 0])
+    states[:, :4] = env.state
+    for _ in range(80):
+        action = rng.uniform(-0.6, 0.6, (150, 1)).astype(np.float32)
+        env.step(action)
+        before = states.copy()
+        following = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
+        np.testing.assert_array_equal(states, before, "what was given is left alone")
+        states = following
+    np.testing.assert_array_equal(states[:, :4], env.state)
 
 
 def test_what_does_not_fit_is_refused():
