@@ -227,10 +227,10 @@ def test_unknown_scenario_is_one_line(tmp_path: Path):
 
 
 def test_the_privileged_controller_costs_less_and_knows_its_own_arms_alone():
-    env = BeltArmVectorEnv(12, autoreset_mode="Disabled", randomization="ideal")
+    env = BeltArmVectorEnv(4, autoreset_mode="Disabled", randomization="ideal")
     env.reset(seed=5_000_000)
     oracle = PrivilegedController(env.params)
-    cost = rollout(oracle, 12, seed=5_000_000, randomization="ideal", sensors="full").cost.mean()
-    assert cost < rollout(AdaptiveController(), 12, seed=5_000_000, randomization="ideal").cost.mean()
-    for shape, words in (((12, size()), ("sensors='full'",)), ((4, size("full")), ("12 arms", "4"))):
+    cost = rollout(oracle, 4, seed=5_000_000, randomization="ideal", sensors="full").cost
+    assert (cost < rollout(AdaptiveController(), 4, seed=5_000_000, randomization="ideal").cost).all()
+    for shape, words in (((4, size()), ("sensors='full'",)), ((3, size("full")), ("4 arms", "3"))):
         refused(ValueError, words, partial(oracle.predict, np.zeros(shape, np.float32)))
