@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import DEFAULT, Mock
 
 import numpy as np
 import pytest
@@ -113,16 +114,9 @@ def test_a_policy_that_cannot_be_replaced_stays_valid(
     bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int
 ):
     """The disk fills up at the card, or between the card and the policy."""
-    before, rename, calls = (bundle / POLICY_FILE).read_bytes(), os.replace, []
-
-    def replace_then_fail(*arguments: Any) -> None:
-        calls.append(arguments)
-        if len(calls) > files_written:
-            raise OSError(errno.ENOSPC, "No space")
-        rename(*arguments)
-
+    before, full = (bundle / POLICY_FILE).read_bytes(), OSError(errno.ENOSPC, "No space")
     with monkeypatch.context() as patched:
-        patched.setattr(os, "replace", replace_then_fail)
+        patched.setattr(os, "replace", Mock(wraps=os.replace, side_effect=[*[DEFAULT] * files_written, full]))
         refused(OSError, ("No space",), lambda: save_bundle(bundle, SPEC, new_weights()))
     assert (bundle / POLICY_FILE).read_bytes() == before
     assert sorted(os.listdir(bundle)) == sorted((CARD, POLICY_FILE))
