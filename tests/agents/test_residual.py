@@ -163,25 +163,6 @@ def test_a_move_that_begins_with_the_sample_in_which_another_episode_ends():
     assert np.array_equal(seen[1], alone[1])
 
 
-class Counting:
-    calls = 0
-
-    def predict(self, observation: Singles, *_: Any, **__: Any):
-        self.calls += 1
-        return np.full((len(observation), 1), self.calls / 10, np.float32), None
-
-
-def test_controller_holds_the_residual_and_restarts_with_an_episode_and_with_a_move():
-    controller = ResidualController(CONTROLLERS["paper"](), Counting(), ResidualSettings(limit=1.0, hold=3))
-    seen, memory, residuals = np.zeros((2, size()), np.float32), None, []
-    for step in range(8):
-        start = np.array([step == 0, step in (0, 4)])
-        seen[:, index("elapsed_time")] = [1.0, step != 7]
-        action, memory = controller.predict(seen, memory, start)
-        residuals.append(np.round(10 * action[:, 0]).astype(int).tolist())
-    assert residuals == [[1, 1], [1, 1], [1, 1], [2, 2], [2, 3], [2, 3], [4, 3], [4, 5]]
-
-
 def test_what_the_agent_observes():
     """The observation, the base's torque, and what the identification makes of the encoder."""
     batch, identifier, plain = many(3), tuned_identifier(), BeltArmVectorEnv(3, **ARMS)

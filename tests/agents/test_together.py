@@ -18,8 +18,9 @@ from agents.residual.knowledge import filters_of
 from baselines import CONTROLLERS
 from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import size
+from beltarm_env.observation import index, size
 from beltarm_env.rollout import rollout
+from eval.comparison import check
 from eval.comparison.cache import Part, measure
 from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
@@ -115,6 +116,20 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         residuals.append(residual)
         seen = env.step(action)[0]
     assert np.std(residuals) > 1e-4
+
+
+@pytest.mark.parametrize("name", ["gru", "told nothing"])
+def test_its_memory_is_in_what_is_returned_and_begins_with_an_episode(name: str, monkeypatch: pytest.MonkeyPatch):
+    """By the checks of a user's controller; or with a move, if the base remembers nothing: amid the others' hold."""
+    middle = 101
+    monkeypatch.setattr(check, "_STEPS", 2 * middle)
+    known = check.record(lively(name))
+    for holds in (check._afresh, check._in_the_state):
+        assert holds(lambda: lively(name), known) == "bit for bit"
+    seen, starts = known.observations.copy(), known.starts.copy()
+    seen[middle, 1, index("elapsed_time")], starts[middle, 1] = 0.0, True
+    moved, begun = (check.replayed(lively(name), seen, each) for each in (known.starts, starts))
+    assert np.array_equal(moved, begun) != lively(name).remembers
 
 
 def test_what_is_no_kernel_is_refused():
