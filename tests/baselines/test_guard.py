@@ -61,9 +61,7 @@ class TestKernel:
 
     def test_nothing_changes_while_all_is_well_and_a_jump_is_slewed(self):
         bench = Bench()
-        for _ in range(500):
-            command, level = bench.step()
-            assert command == 0.01 + 0.02 and level == guard.LEARNED_LEVEL and bench.memory[guard.CHANGED] == 0
+        assert bench.steps(500) == (0.01 + 0.02, guard.LEARNED_LEVEL) and bench.memory[guard.CHANGED] == 0
         bench = Bench()
         bench.step(base=-0.3, residual=0.0)
         assert bench.step(base=0.3, residual=0.0)[0] == pytest.approx(-0.3 + DESIGN.slew)

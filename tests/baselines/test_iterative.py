@@ -30,25 +30,19 @@ def random_trial(rng: np.random.Generator, steps: int) -> Trial:
     return Trial(transition, by_torque, rng.normal(0, 1, (steps, 4)), rng.normal(0, 1, (steps, 4, 4)))
 
 
-def change_of_state(trial: Trial, push: np.ndarray) -> np.ndarray:
-    """Change of the last state that the linear problem predicts for changes of the torque."""
-    dx = np.zeros(trial.transition.shape[-1])
+def changes_of_state(trial: Trial, push: np.ndarray) -> np.ndarray:
+    """Changes of the states that the linear problem predicts for changes of the torque, shape (T, states)."""
+    dx, changes = np.zeros(trial.transition.shape[-1]), []
     for transition, by_torque, change in zip(trial.transition, trial.by_torque, push, strict=True):
         dx = transition @ dx + by_torque * change
-    return dx
+        changes.append(dx)
+    return np.array(changes)
 
 
 def lifted(trial: Trial) -> np.ndarray:
     """Errors of the whole trial over all changes of the torque, shape (4 T, T)."""
-    steps = len(trial.by_torque)
-    matrix = np.zeros((steps, 4, steps))
-    for j in range(steps):
-        dx = trial.by_torque[j]
-        matrix[j, :, j] = trial.of_state[j] @ dx
-        for k in range(j + 1, steps):
-            dx = trial.transition[k] @ dx
-            matrix[k, :, j] = trial.of_state[k] @ dx
-    return matrix.reshape(4 * steps, steps)
+    changes = [changes_of_state(trial, unit)[:, :, None] for unit in np.eye(len(trial.by_torque))]
+    return np.stack([(trial.of_state @ dx).ravel() for dx in changes], axis=1)
 
 
 def lifted_change(trial: Trial, weights: Weights, torque_change: np.ndarray) -> np.ndarray:
@@ -131,7 +125,7 @@ def test_linearisation_predicts_what_the_drive_does():
     assert np.hypot(*trial.errors[-1, 2:]) / VELOCITY_SCALE == pytest.approx(info["cost_velocity"], rel=1e-9)
     push = np.where(np.arange(40) >= 20, 1e-4, 0.0)
     moved = simulated(env.params, torques + push, states[0, 0])[-1] - states[-1]
-    np.testing.assert_allclose(moved, change_of_state(trial, push), rtol=0.02)
+    np.testing.assert_allclose(moved, changes_of_state(trial, push)[-1], rtol=0.02)
 
 
 def test_linearisation_of_a_motor_that_gives():
@@ -146,7 +140,7 @@ def test_linearisation_of_a_motor_that_gives():
     push = np.where(np.arange(count) >= count - 20, 1e-4, 0.0)
     moved = simulated(arm, torques + push, 62.0)[-1] - states[-1]
     assert abs(moved[0]) > 3e-6
-    np.testing.assert_allclose(moved, change_of_state(trial, push), rtol=0.02, atol=1e-9)
+    np.testing.assert_allclose(moved, changes_of_state(trial, push)[-1], rtol=0.02, atol=1e-9)
     rests = np.array([[88 * 0.7, 0.0, 0.0, 0.0]]), np.array([0.01]), np.array([[0.7, 0.0]])
     assert (Linearisation(ArmParams(), 1).about(*rests, NOMINAL).by_torque == 0).all(), (
         "one that does not give is stuck"
