@@ -126,9 +126,7 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
         settings, own = config.defaults(), config.run({}, 3)
         for name, distribution in space.items():
             assert distribution._contains(distribution.to_internal_repr(settings[name])), name
-        assert config.run(settings, 3) == own and (own.seed, own.overwrite) == (53, True)
-        assert config.run(settings, 64).seed == 64
-        assert own.total_steps * own.hold == config.samples
+        assert config.run(settings, 3) == own and own.total_steps * own.hold == config.samples
 
 
 @pytest.mark.slow
