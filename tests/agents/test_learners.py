@@ -1,6 +1,5 @@
 """Learners: actors of their policies, bundles, seeds, rates, options that are refused, and the search for options."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import torch
 from commands import stopped
 from optuna.trial import TrialState
 from refusals import refused
-from trainings import NAMES, StopAfter, in_memory, run, tiny
+from trainings import NAMES, StopAfter, run, tiny
 
 from agents.learners import tuning
 from agents.learners.registry import ALGORITHMS
@@ -171,14 +170,8 @@ def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
         channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
 
 
-@pytest.fixture
-def quick() -> Iterator[Path]:
-    with in_memory() as folder:
-        yield Path(folder)
-
-
 def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
-    quick: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
     monkeypatch.setattr(tuning, "train", train_at_once)
@@ -187,7 +180,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         begin(config)
         run_trials(config, 0, Channel(stop=StopAfter(looks)))
 
-    whole, parts = (few(quick / name, trials=12) for name in ("whole", "parts"))
+    whole, parts = (few(tmp_path / name, trials=12) for name in ("whole", "parts"))
     for config in (whole, parts):
         config.out.mkdir()
     begun_again(whole, 10_000)
