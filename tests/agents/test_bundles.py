@@ -14,7 +14,7 @@ from unittest.mock import DEFAULT, Mock
 
 import numpy as np
 import pytest
-from bundles import SPEC, Exploit, edit, halves, new_weights
+from bundles import SPEC, Exploit, edit, new_weights
 from refusals import refused
 from safetensors.numpy import save
 
@@ -246,9 +246,4 @@ def test_loading_executes_nothing(bundle: Path, monkeypatch: pytest.MonkeyPatch)
 def test_shipped_cards_are_what_is_written_today():
     """If not, `agents.policy.bundle.annotate` writes the card of a policy again, and changes nothing else."""
     for folder in SHIPPED:
-        spec, content = read_spec(folder)
-        text = (folder / CARD).read_text(encoding="utf-8")
-        assert text == card(content), folder
-        fields, body = halves(text)
-        assert {"BeltArm-v0", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
-        assert all(words in body for words in ("docs/guide/export.md", POLICY_FILE, "payload_mass"))
+        assert (folder / CARD).read_text(encoding="utf-8") == card(read_spec(folder)[1]), folder
