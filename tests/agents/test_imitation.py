@@ -40,7 +40,6 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
-from eval.report.curves import find_curves
 
 SEED = 5_700_000
 ARMS = 6
@@ -188,15 +187,12 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
     np.testing.assert_array_equal(ours, theirs)
 
 
-def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[Path, list[int]]):
+def test_what_is_left_is_a_policy_with_its_score(whole: tuple[Path, list[int]]):
     folder, seeds = whole
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.base, spec.gru) == ("student", "paper", 6)
     scores = validate(load_controller(folder / "last"), 2, task_of(1))
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
-    (curve,) = find_curves([folder])
-    assert curve.method == "student on paper"
-    assert curve.steps[:3].tolist() == [0, 4 * EPISODE_STEPS, 2 * 4 * EPISODE_STEPS]
     assert seeds == [4 * k for k in range(len(seeds))] != [], "every round has arms of its own, trials of four"
 
 

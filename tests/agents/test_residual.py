@@ -36,14 +36,14 @@ OUTWARD = ResidualSettings(limit=2.0, hold=7)  # with a residual of 1: the full 
 torch.set_num_threads(1)  # threads cost more than they give in networks this small
 
 
-def single_env(settings: ResidualSettings = SETTINGS, base: str = "paper") -> ResidualEnv:
-    return ResidualEnv(BeltArmEnv(**ARMS), CONTROLLERS[base](), settings)
+def single_env(settings: ResidualSettings = SETTINGS) -> ResidualEnv:
+    return ResidualEnv(BeltArmEnv(**ARMS), CONTROLLERS["paper"](), settings)
 
 
-def many(count: int, settings: ResidualSettings = SETTINGS, base: str = "paper", moves: int = 1, **options: Any) -> Any:
+def many(count: int, settings: ResidualSettings = SETTINGS, moves: int = 1, **options: Any) -> Any:
     """A batch that begins at the moves' start, seeded with 30, 31, ..."""
     arms = BeltArmVectorEnv(count, autoreset_mode="SameStep", moves=moves, **ARMS)
-    batch = ResidualVecEnv(arms, CONTROLLERS[base](), settings, **{"stagger": False, **options})
+    batch = ResidualVecEnv(arms, CONTROLLERS["paper"](), settings, **{"stagger": False, **options})
     batch.seed(30)
     return batch
 
@@ -54,8 +54,8 @@ def random_residuals(count: int, seed: int = 0) -> Singles:
     return np.repeat(levels, 10, axis=0).astype(np.float32)
 
 
-def base_run(base: str, count: int, moves: int = 1) -> Recording:
-    return rollout(CONTROLLERS[base](), count, seed=30, moves=moves, **ARMS)
+def base_run(count: int, moves: int = 1) -> Recording:
+    return rollout(CONTROLLERS["paper"](), count, seed=30, moves=moves, **ARMS)
 
 
 def seen_by_base(env: BeltArmEnv, seen: Singles, steps: int) -> Singles:
@@ -101,7 +101,7 @@ def test_what_does_not_fit_is_refused():
 
 def test_a_residual_of_zero_is_the_base():
     """For one arm and as a controller; that a batch is single arms is looked at below."""
-    env, expected, total, truncated = single_env(), base_run("paper", 5), 0.0, False
+    env, expected, total, truncated = single_env(), base_run(5), 0.0, False
     arm: Any = env.unwrapped
     env.reset(seed=30)
     for hold in range(HOLDS):
@@ -138,7 +138,7 @@ def test_a_policy_acts_alike_in_training_and_as_a_controller():
     controller = ResidualController(CONTROLLERS["paper"](), policy, SETTINGS)
     recording = rollout(controller, count, seed=30, moves=moves, **ARMS)
     assert recording.finished.all()
-    assert not np.allclose(recording.state, base_run("paper", count, moves).state)
+    assert not np.allclose(recording.state, base_run(count, moves).state)
     batch = many(count, moves=moves, reward_scale=0.5)
     observations, total, done = batch.reset(), np.zeros(count), np.zeros(count, np.bool_)
     for hold in range(moves * HOLDS):
@@ -217,7 +217,7 @@ def test_the_end_of_an_episode(moves: int):
         assert done.all() == (hold == moves * HOLDS - 1) and done.any() == done.all()
         assert infos[0] == {} or done[0]
     assert (seen[:, elapsed] == 0).all()
-    costs = base_run("paper", 3, moves).cost.reshape(moves, 3).sum(axis=0)
+    costs = base_run(3, moves).cost.reshape(moves, 3).sum(axis=0)
     for info, cost in zip(infos, costs, strict=True):
         assert info["TimeLimit.truncated"] is True and info["terminal_observation"] in batch.observation_space
         assert info["terminal_observation"][elapsed] == pytest.approx(1.8)

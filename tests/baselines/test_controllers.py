@@ -142,15 +142,14 @@ class TestDataSheet:
         refused(ValueError, words, lambda: rollout(PaperController(), 2, seed=0, options=options))
 
 
-class TestGains:
-    @pytest.mark.parametrize("name", TUNABLE)
-    def test_lie_within_their_range(self, name: str):
-        kind = TUNABLE[name].gains
-        for gain in fields(kind):
-            assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
-            for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
-                refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
-            refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
+@pytest.mark.parametrize("name", TUNABLE)
+def test_gains_lie_within_their_range(name: str):
+    kind = TUNABLE[name].gains
+    for gain in fields(kind):
+        assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
+        for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
+            refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
+        refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
 
 
 COSTS = """

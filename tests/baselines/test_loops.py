@@ -207,7 +207,6 @@ class TestCondition:
         assert MarginCondition().shortfall(usual(name)) == 0
 
     def test_what_is_asked_for_is_what_is_met(self):
-        """`tests/eval/test_loops.py` looks at the worst place."""
         controller = untuned("ei")
         least = least_margins(controller)
         assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(controller) == 0
