@@ -1,6 +1,5 @@
 """Learners: actors of their policies, bundles, seeds, rates, options that are refused, and the search for options."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import torch
 from commands import stopped
 from optuna.trial import TrialState
 from refusals import refused
-from trainings import NAMES, StopAfter, in_memory, run, tiny
+from trainings import NAMES, StopAfter, run, tiny
 
 from agents.learners import tuning
 from agents.learners.registry import ALGORITHMS
@@ -85,7 +84,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"seed": MAX_TRAINING_SEED, "seeds": 2}, "--seed"),
     ("ppo", {"learning_rate": float("nan")}, "--learning-rate .* nan"),
     ("ppo", {"gamma": 1.5}, "--gamma .* 1.5"),
-    ("ppo", {"hidden": (0,)}, "hidden"),
+    *(("ppo", {"hidden": (width,)}, f"hidden.*{width}") for width in (0, 1025, True)),
     ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
     ("ppo", {"resume": True}, "nothing to resume"),
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
@@ -126,9 +125,7 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
         settings, own = config.defaults(), config.run({}, 3)
         for name, distribution in space.items():
             assert distribution._contains(distribution.to_internal_repr(settings[name])), name
-        assert config.run(settings, 3) == own and (own.seed, own.overwrite) == (53, True)
-        assert config.run(settings, 64).seed == 64
-        assert own.total_steps * own.hold == config.samples
+        assert config.run(settings, 3) == own and own.total_steps * own.hold == config.samples
 
 
 @pytest.mark.slow
@@ -173,14 +170,8 @@ def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
         channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
 
 
-@pytest.fixture
-def quick() -> Iterator[Path]:
-    with in_memory() as folder:
-        yield Path(folder)
-
-
 def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
-    quick: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
     monkeypatch.setattr(tuning, "train", train_at_once)
@@ -189,7 +180,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         begin(config)
         run_trials(config, 0, Channel(stop=StopAfter(looks)))
 
-    whole, parts = (few(quick / name, trials=12) for name in ("whole", "parts"))
+    whole, parts = (few(tmp_path / name, trials=12) for name in ("whole", "parts"))
     for config in (whole, parts):
         config.out.mkdir()
     begun_again(whole, 10_000)

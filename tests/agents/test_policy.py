@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from bundles import SPEC, new_weights
+from bundles import new_weights
 from commands import python
 from episodes import assert_same_in_batches
 from gymnasium.error import DependencyNotInstalled
@@ -18,28 +18,14 @@ from networks import SHAPES, episodes, lively
 from refusals import refused
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, POLICY_FILE, load_controller, read_spec, save_bundle
-from agents.policy.description import BundleError
+from agents.policy.bundle import ACCELEROMETER_POLICIES, POLICIES, load_controller, read_spec
 from agents.policy.network import NetworkPolicy
-from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
+from agents.policy.onnx_model import OPSET, model_of, write_onnx
 from agents.policy.weights import ActorShape
 from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import VALIDATION
 
 ROOT = Path(__file__).resolve().parents[2]
-INPUTS = 3
-
-
-def test_sizes_that_are_not_allowed():
-    for change, words in (
-        *(({"hidden": (0,)}, ("hidden", "0")), ({"hidden": (4, 1025)}, ("hidden", "1025"))),
-        *(({"hidden": (4, True)}, ("True",)), ({"hidden": (4,) * 9}, ("8 hidden", "9"))),
-        *(({"lstm": -1}, ("LSTM", "-1")), ({"gru": 1025}, ("GRU", "1025")), ({"lstm": 4, "gru": 5}, ("4 and 5",))),
-        ({"activation": "gelu"}, ("activation", "'gelu'")),
-    ):
-        refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
-    shapes = ActorShape(INPUTS, (4,)), ActorShape(INPUTS, (4,), gru=7), ActorShape(INPUTS, (4,), lstm=1024)
-    assert [shape.memory for shape in shapes] == [(0,), (7,), (2, 1024)]
 
 
 def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
@@ -74,17 +60,6 @@ def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: i
     whole = answers(policy, seen)
     for rows in (slice(None, None, -1), slice(1 + count // 3), slice(-1, None)):
         np.testing.assert_array_equal(answers(policy, seen[:, rows]), whole[:, rows])
-
-
-def test_a_memory_begins_anew_where_an_episode_does():
-    shape = SHAPES["student"]
-    policy, seen = NetworkPolicy(lively(shape).weights()), 0.1 * episodes(shape, 3, 4)
-    _, memory = policy.predict(seen[0])
-    residual, following = policy.predict(seen[1], memory, np.array([False, True, False]))
-    fresh, _ = policy.predict(seen[1])
-    on, _ = policy.predict(seen[1], memory)
-    assert residual[1] == fresh[1] != on[1] and residual[0] == on[0] != fresh[0]
-    assert following is not None and following.shape == (3, shape.gru)
 
 
 WITHOUT = """
@@ -163,13 +138,6 @@ def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
     }
     state = {"state": ["n", spec.gru], "next_state": ["n", spec.gru]} if spec.gru else {}
     assert shapes == {"observation": ["n", len(spec.entries())], "residual": ["n", 1], **state}
-
-
-def test_a_damaged_policy_makes_no_model(tmp_path: Path):
-    save_bundle(tmp_path, SPEC, new_weights())
-    path = tmp_path / POLICY_FILE
-    path.write_bytes(path.read_bytes()[:-4] + np.float32(np.nan).tobytes())
-    refused(BundleError, ("damaged",), lambda: onnx_model(tmp_path))
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):

@@ -18,8 +18,9 @@ from agents.residual.knowledge import filters_of
 from baselines import CONTROLLERS
 from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import size
+from beltarm_env.observation import index, size
 from beltarm_env.rollout import rollout
+from eval.comparison import check
 from eval.comparison.cache import Part, measure
 from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
@@ -73,12 +74,10 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
     assert unlike.batches(10) == [range(1), range(1, 2)]
 
 
-@pytest.mark.parametrize("guarded", [False, True])
-def test_a_comparison_runs_training_seeds_together(guarded: bool):
-    """On a split where delays and encoders are not the usual ones."""
+def test_a_comparison_runs_training_seeds_together():
+    """Behind the guard, on a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"].shortened(2), 3
-    (several,) = learned_methods(folders("student", 2))
-    several = several.with_guard() if guarded else several
+    several = learned_methods(folders("student", 2))[0].with_guard()
     actual = measure(Part(several, split, episodes))
     assert actual["cost"].shape == (2, episodes)
     for seed in range(2):
@@ -117,6 +116,20 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         residuals.append(residual)
         seen = env.step(action)[0]
     assert np.std(residuals) > 1e-4
+
+
+@pytest.mark.parametrize("name", ["gru", "told nothing"])
+def test_its_memory_is_in_what_is_returned_and_begins_with_an_episode(name: str, monkeypatch: pytest.MonkeyPatch):
+    """By the checks of a user's controller; or with a move, if the base remembers nothing: amid the others' hold."""
+    middle = 101
+    monkeypatch.setattr(check, "_STEPS", 2 * middle)
+    known = check.record(lively(name))
+    for holds in (check._afresh, check._in_the_state):
+        assert holds(lambda: lively(name), known) == "bit for bit"
+    seen, starts = known.observations.copy(), known.starts.copy()
+    seen[middle, 1, index("elapsed_time")], starts[middle, 1] = 0.0, True
+    moved, begun = (check.replayed(lively(name), seen, each) for each in (known.starts, starts))
+    assert np.array_equal(moved, begun) != lively(name).remembers
 
 
 def test_what_is_no_kernel_is_refused():

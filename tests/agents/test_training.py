@@ -22,7 +22,7 @@ from trainings import NAMES, TINY, StopAfter, run, same_policies, tiny, weights
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.policy.bundle import CARD, load_controller, read_spec
+from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
 from agents.runs.settings import task_of
@@ -57,9 +57,6 @@ def test_bundles_of_all_algorithms(name: str, whole_of: Any):
     assert spec.provenance["curve"] == [list(point) for point in whole.curve]
     validated = validate(load_controller(last), 4, task_of(1))
     assert validated == spec.provenance["reached"]["validation"]
-    card = (last / CARD).read_text()
-    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
-        assert word in card
     assert read_spec(whole.config.out / "best")[0].provenance["run"]["steps"] in (128, 256)
 
 

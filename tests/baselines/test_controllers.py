@@ -4,25 +4,24 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from commands import python
-from episodes import assert_same_in_batches, next_move, torques
+from episodes import assert_same_in_batches, next_move
 from refusals import refused
 
 import baselines
 from baselines import CONTROLLERS, TUNABLE, PaperController
-from baselines.optimal.adaptive import AdaptiveController
-from baselines.optimal.adaptive_law import begun, renewed, torque
 from baselines.reading import read, sample_of
 from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
+from eval.comparison import check
 
 ROOT = Path(__file__).parents[2]
 SEED = 5_000_000
@@ -35,6 +34,7 @@ CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 }
 STEPS = 160
 KERNELS = [name for name, make in CONTROLLERS.items() if hasattr(make(), "kernel") and name != "adaptive"]
+"""That of `adaptive` takes a minute to compile: `tests/eval/exports/test_program.py` looks at it, as a program."""
 MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
 
 
@@ -48,13 +48,6 @@ def test_public_names_are_imported_on_first_use():
     refused(AttributeError, ("'baselines'", "'Paper'"), lambda: baselines.Paper)
 
 
-def observations(seed: int) -> np.ndarray:
-    """Observations of a few arms with an accelerometer under random torques, shape (120, 4, size)."""
-    env = BeltArmVectorEnv(4, randomization="ideal", sensors="accelerometer")
-    first, pushes = env.reset(seed=seed)[0], 0.4 * torques(119, hold=10)
-    return np.stack([first, *(env.step(np.full((4, 1), push))[0] for push in pushes)])
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: str):
     make, options = CASES[name]
@@ -62,19 +55,15 @@ def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: 
 
 
 @pytest.mark.parametrize("name", WITH_ACCELEROMETER)
-def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(name: str):
-    """For the encoder alone the checks of a user's controller look at it, in `tests/eval/test_check_controller.py`."""
-    first, second = observations(SEED), observations(SEED + 100_000)
-    controller, starts, memory, fresh = WITH_ACCELEROMETER[name](), np.array([False, True, False, True]), None, None
-    for seen in first[:60]:
-        _, memory = controller.predict(seen, memory)
-    undisturbed = memory
-    for k in range(60):
-        seen = np.where(starts[:, None], second[k], first[60 + k])
-        action, memory = controller.predict(seen, memory, starts & (k == 0))
-        on, undisturbed = controller.predict(first[60 + k], undisturbed)
-        new, fresh = controller.predict(second[k], fresh)
-        np.testing.assert_array_equal(action, np.where(starts[:, None], new, on))
+def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
+    """By the checks of a user's controller, as for the encoder alone in `tests/eval/test_check_controller.py`."""
+    monkeypatch.setattr(check, "drive", partial(check.drive, sensors="accelerometer"))
+    monkeypatch.setattr(check, "_STEPS", STEPS)
+    known = check.record(WITH_ACCELEROMETER[name]())
+    for holds in (check._afresh, check._in_the_state):
+        assert holds(WITH_ACCELEROMETER[name], known) == "bit for bit"
 
 
 @pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])
@@ -93,49 +82,22 @@ def spoilt(memory: Any) -> Any:
     return memory
 
 
-def assert_law_of_one_arm(controller: Any, torque: Callable[..., float], memory: Any) -> None:
-    """Compare the torques of one arm, from `torque(now, begins, memory)`, with the middle one of a batch of three."""
-    spoilt(memory)
-    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
-    batch: Any = None
-    for turn, payload in enumerate((None, None, 0.0, 0.4)):  # two episodes, of which the second has three moves
-        seen = env.reset(seed=VALIDATION.first + 3 * turn)[0] if payload is None else next_move(env, payload)
-        begins = np.full(3, payload is None or not isinstance(controller, AdaptiveController))
-        for k in range(STEPS):
-            reading = read(seen, controller.params)._replace(holds_part=np.full(3, float(payload != 0.0)))
-            expected, batch = controller.law(reading, begins, batch)
-            assert torque(sample_of(reading, 1), bool(begins[1]), memory) == expected[1], k
-            action = np.clip(expected / controller.params.torque_limit, -1, 1)
-            seen, *_ = env.step(action.astype(np.float32)[:, None])
-            begins = np.zeros(3, np.bool_)
-
-
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_kernel_is_the_law_of_one_arm(name: str):
+    """The middle one of a batch of three, which sets out from rest, and again while it moves, with another payload."""
     controller = CONTROLLERS[name]()
     law, design, memory = controller.kernel()
-    assert_law_of_one_arm(controller, partial(law, design), memory)
-
-
-@pytest.mark.slow  # it takes a minute to compile; as a program it is looked at in `tests/eval/exports/test_program.py`
-def test_the_kernel_of_adaptive_may_renew_its_plan_after_the_torque():
-    controller = CONTROLLERS["adaptive"]()
-    _, design, memory = controller.kernel()
-    last: list[Any] = []
-
-    def apart(now: Any, begins: bool, memory: Any) -> float:
-        if not begins and last:
-            renewed(design, last[-1], memory)
-        begun(design, now, begins, memory)
-        last.append(now)
-        return torque(design, now, memory)
-
-    assert_law_of_one_arm(controller, apart, memory)
-
-
-@cache
-def measured(name: str, arms: Any) -> dict[str, Any]:
-    return rollout(CONTROLLERS[name](), 32 if arms == "train" else 8, seed=SEED, randomization=arms).metrics()
+    spoilt(memory)
+    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
+    seen, batch = env.reset(seed=VALIDATION.first)[0], None
+    for _ in range(2):
+        for k in range(STEPS):
+            reading = read(seen, controller.params)
+            expected, batch = controller.law(reading, np.full(3, k == 0), batch)
+            assert law(design, sample_of(reading, 1), k == 0, memory) == expected[1], k
+            action = np.clip(expected / controller.params.torque_limit, -1, 1)
+            seen, *_ = env.step(action.astype(np.float32)[:, None])
+        seen = next_move(env, 0.4)
 
 
 class TestDriving:
@@ -148,15 +110,6 @@ class TestDriving:
         assert run.finished.all() and np.isfinite(run.state).all()
         assert np.linalg.norm(run.tip_error[-200:], axis=2).mean(axis=0).max() < 5e-3  # m
         assert np.abs(run.state[-200:, :, 2]).max() < 0.06  # and the belt rings no more than stiction hides
-
-    @pytest.mark.parametrize("name", TUNABLE)
-    def test_does_better_than_the_paper(self, name: str):
-        """On the nominal arm, or, by what its margins leave of its gain, on the arms that it is for."""
-        arms = "train" if name in ("retuned", "disturbance") else "off"
-        # A smooth move does not even try to follow the task's profile closely.
-        metric, share = ("residual_pp_mm", 0.4) if name == "smooth" else ("cost", 0.9)
-        paper, tuned = (np.median(measured(kind, arms)[metric]) for kind in ("paper", name))
-        assert tuned < share * paper
 
     def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
         """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
@@ -189,20 +142,14 @@ class TestDataSheet:
         refused(ValueError, words, lambda: rollout(PaperController(), 2, seed=0, options=options))
 
 
-class TestGains:
-    @pytest.mark.parametrize("name", TUNABLE)
-    def test_lie_within_their_range(self, name: str):
-        kind = TUNABLE[name].gains
-        for gain in fields(kind):
-            assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
-            for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
-                refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
-            refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
-
-    def test_are_the_same_with_an_accelerometer(self):
-        assert set(WITH_ACCELEROMETER) <= set(CONTROLLERS)
-        assert all(CONTROLLERS[name]().sensors == "encoder" for name in WITH_ACCELEROMETER)
-        assert all(WITH_ACCELEROMETER[name]().gains == CONTROLLERS[name]().gains for name in WITH_ACCELEROMETER)
+@pytest.mark.parametrize("name", TUNABLE)
+def test_gains_lie_within_their_range(name: str):
+    kind = TUNABLE[name].gains
+    for gain in fields(kind):
+        assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
+        for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
+            refused(ValueError, (f"{kind.__name__}.{gain.name}", "got"), partial(kind, **{gain.name: value}))
+        refused(TypeError, (gain.name,), partial(kind, **{gain.name: "1"}))
 
 
 COSTS = """

@@ -1,11 +1,13 @@
-"""Tasks side by side on this machine: what holds anywhere, signals, folders; on Ray they are in `tests/stress`."""
+"""Tasks side by side on this machine, and calls in a process of their own; tasks on Ray are in `tests/stress`."""
 
 import os
 import signal
 import socket
 import subprocess
 import sys
+import time
 import zipfile
+from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,8 +20,9 @@ from side_by_side import Anywhere, InWorkers, Place, go_on, square, where_it_wor
 from waiting import until
 
 from baselines.engines import workplace
+from baselines.engines.isolated import run_isolated
 from baselines.engines.options import WithStorage
-from baselines.engines.parallel import Channel, Engine, StopRequest, stop_on_signals
+from baselines.engines.parallel import BrokenOff, Channel, Engine, StopRequest, stop_on_signals
 from baselines.engines.workplace import Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -136,3 +139,81 @@ class TestFolders:
         wrong = {f"{tmp_path}/file/store": (OSError, socket.gethostname()), "nowhere://bucket": (ValueError, "nowhere")}
         for url, (kind, word) in wrong.items():
             refused(kind, (f"--storage {url}", word), Workplace(WithStorage(storage=url), tmp_path).__enter__)
+
+
+# Calls in a process of their own, whose end is a failure of the call, however it comes
+
+
+def hang(file: Path) -> str:
+    """Code that leaves its process's number in a file, and takes its time."""
+    return f"import os, time; open({str(file)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
+
+
+def fork_and_exit() -> None:
+    """Leave a process behind that has inherited everything."""
+    if os.fork():
+        os._exit(0)
+    time.sleep(600)
+
+
+def count(numbers: list[int] = []) -> int:  # noqa: B006
+    numbers.append(0)
+    return len(numbers)
+
+
+ENDS = {
+    "exit status 0": partial(os._exit, 0),
+    "signal 9": partial(signal.raise_signal, signal.SIGKILL),
+    "ended with exit status 0": fork_and_exit,
+}
+
+
+@pytest.mark.parametrize("words", ENDS)
+def test_every_end_has_its_cause(words: str):
+    refused(BrokenOff, (words,), lambda: run_isolated(ENDS[words], "tests", 60))
+    assert run_isolated(count, "tests", 60) == 1, "the next call has a process again"
+
+
+def test_results_and_errors_come_back():
+    assert run_isolated(partial(divmod, 7, 2), "tests", 60) == (3, 1)
+    refused(ZeroDivisionError, ("by zero",), lambda: run_isolated(partial(divmod, 7, 0), "tests", 60))
+    refused(RuntimeError, ("cannot pickle",), lambda: run_isolated(partial(open, os.devnull), "tests", 60))
+
+
+def is_there(process: int) -> bool:
+    with suppress(ProcessLookupError):
+        os.kill(process, 0)
+        return True
+    return False
+
+
+def test_what_hangs_is_ended(tmp_path: Path):
+    refused(
+        BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(partial(exec, hang(tmp_path / "pid")), "tests", 0.5)
+    )
+    assert not is_there(int((tmp_path / "pid").read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
+def test_who_takes_all_memory_is_ended_before_who_waits_for_it():
+    score = Path("/proc/self/oom_score_adj")
+    assert run_isolated(score.read_text, "tests", 60) == "1000\n"
+    assert score.read_text() != "1000\n"
+
+
+def test_a_process_is_kept_for_its_owner():
+    run_isolated(os.getpid, "others", 60)
+    actual = [run_isolated(count, owner, 60) for owner in ("tests", "tests", "others", "tests")]
+    assert actual == [1, 2, 1, 1]
+    assert run_isolated(os.getpid, "tests", 60) != os.getpid()
+
+
+def test_it_does_not_outlive_who_waits_for_it(tmp_path: Path):
+    pid = tmp_path / "pid"
+    call = f"run_isolated(partial(exec, {hang(pid)!r}), 'tests', 600)"
+    code = f"from functools import partial; from baselines.engines.isolated import run_isolated; {call}"
+    waiting = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT)
+    until(lambda: pid.exists() and pid.read_text())
+    waiting.kill()
+    waiting.wait()
+    until(lambda: not is_there(int(pid.read_text())))

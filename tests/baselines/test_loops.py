@@ -1,6 +1,5 @@
 """Linear loops of the classical controllers: each against its controller at work, margins against poles and latency."""
 
-import itertools
 import math
 from dataclasses import replace
 from functools import cache
@@ -18,8 +17,8 @@ from baselines.gains import tuned
 from baselines.loops.condition import MarginCondition, believing, least_margins
 from baselines.loops.laws import law_of
 from baselines.loops.margins import Margins, margins, margins_from_poles
-from baselines.loops.models import Loop, System, closed_poles, is_stable, law_system, loop_at, sampled_arm
-from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
+from baselines.loops.models import Loop, System, is_stable, law_system, loop_at, sampled_arm
+from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
@@ -67,27 +66,28 @@ def resting_observation(joint: float, state: Floats, before: float, last_command
     return np.array([list(values.values())]) / observation.scales()
 
 
-def at_work(name: str, controller: Any, k: int, pulse: float) -> Floats:
-    """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (STEPS,).
+def response(name: str, controller: Any, k: int, pulse: float) -> Floats:
+    """What a pulse of torque adds to the angle of a motor under the real controller, shape (STEPS,) [rad].
 
     The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
     from standing still, which observers take for sticking, and is too faint for an identification to see how fine the
-    encoder is: it is told.
+    encoder is: it is told. Two arms are simulated, of which the first gets the pulse.
     """
     begin = SETTLED.get(name, 300)
     joint = float(np.float32(ANGLES[k]))
-    plant, noise = ArmSimulation(controller.params), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
-    state = plant.at_rest(np.array([88 * joint]))[0]
-    angles, memory, last = [state[0]], None, 0.0
+    plant, noise = ArmSimulation(controller.params, 2), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
+    states = plant.at_rest(np.full(2, 88 * joint))
+    angles, memory, last = [states[:, 0]], None, np.zeros(2)
     for i in range(begin + STEPS):
-        angles.append(state[0])
-        action, memory = controller.predict(resting_observation(joint, state[:4], angles[i], last), memory)
+        angles.append(states[:, 0])
+        seen = [resting_observation(joint, *arm) for arm in zip(states, angles[i], last, strict=True)]
+        action, memory = controller.predict(np.concatenate(seen), memory)
         if isinstance(memory, AdaptiveMemory):
-            memory = replace(memory, belief=replace(memory.belief, count=np.array([QUANTUM])))
-        last = float(action[0, 0]) * 0.3
-        torque = last + noise[i] + (pulse if i == begin else 0.0)
-        state = plant.advance(state[None], np.array([torque]))[0]
-    return np.array(angles[begin + 1 :])
+            memory = replace(memory, belief=replace(memory.belief, count=np.full(2, QUANTUM)))
+        last = action[:, 0].astype(float) * 0.3
+        states = plant.advance(states, last + noise[i] + (np.array([pulse, 0.0]) if i == begin else 0.0))
+    with_pulse, without = np.array(angles[begin + 1 :]).T
+    return with_pulse - without
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str
     driven = replace(DRIVEN, command_latency=(latency or 0.0) * CONTROL_PERIOD)
     params, pulse = FRICTIONLESS if latency is None else driven, 1e-6
     controller = frictionless(name, params)
-    motion = at_work(name, controller, k, pulse) - at_work(name, controller, k, 0.0)
+    motion = response(name, controller, k, pulse)
     law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
     closed: Any = control.feedback(arm, cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
@@ -123,14 +123,9 @@ def usual(name: str) -> Any:
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 class TestMargins:
-    def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
-        for k in range(len(ANGLES)):
-            assert np.abs(closed_poles(loop_at(usual(name), k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
-
-    @pytest.mark.parametrize("arm", ["design model", "payload, soft"])
-    def test_are_those_of_the_frequency_response(self, name: str, arm: str):
+    def test_are_those_of_the_frequency_response(self, name: str):
         """As python-control has it, on a fine grid."""
-        loop = loop_at(usual(name), 30, CORNERS[arm])
+        loop = loop_at(usual(name), 30, CORNERS["payload, soft"])
         actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 8000)
         law, plant = (np.asarray(as_control(each)(np.exp(1j * turns))) for each in loop)
         values = -law * plant
@@ -190,30 +185,10 @@ def test_many_loops_at_once_have_the_margins_of_each():
 
 
 class TestCorners:
-    def test_they_are_ends_of_the_training_ranges(self):
-        assert CORNERS["design model"] == design_model()
-        for name, arm in CORNERS.items():
-            if name != "design model":
-                assert all(getattr(arm, field) in TRAIN_RANGES[field] for field in LOOP_FIELDS)
-
     def test_no_other_constant_of_the_ranges_touches_the_loop(self):
         for field in set(TRAIN_RANGES) - set(LOOP_FIELDS):
             other = replace(design_model(), **{field: TRAIN_RANGES[field][1]})
             assert all(map(np.array_equal, *(sampled_state_space(arm, 0.7) for arm in (design_model(), other)))), field
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
-    def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
-        angles, chosen = (0, 12, 24, 36, 45), itertools.product((0, 1), repeat=len(LOOP_FIELDS))
-        every = [corner(*itertools.compress(LOOP_FIELDS, high)) for high in chosen]
-        laws, least = {k: law_system(law_of(untuned(name), k)) for k in angles}, []
-        for arms in (CORNERS.values(), every):
-            loops = [Loop(laws[k], sampled_arm(arm, float(ANGLES[k]))) for arm in arms for k in angles]
-            actual = margins(*loops)
-            least.append((actual.modulus.min(), actual.delay.min()))
-            assert actual.stable.all()
-        assert least[1][0] <= least[0][0] < least[1][0] + 0.08
-        assert least[1][1] <= least[0][1] < 1.2 * least[1][1]
 
     def test_an_arm_that_is_identified_is_believed_in(self):
         controller = AdaptiveController()
@@ -231,12 +206,9 @@ class TestCondition:
         assert MarginCondition().shortfall(untuned(name)) == 0
         assert MarginCondition().shortfall(usual(name)) == 0
 
-    def test_what_is_asked_for_is_what_is_met_and_the_worst_place_is_named(self):
+    def test_what_is_asked_for_is_what_is_met(self):
         controller = untuned("ei")
         least = least_margins(controller)
         assert MarginCondition(modulus=least.modulus * 0.999, delay=0.1).shortfall(controller) == 0
         assert MarginCondition(modulus=least.modulus * 1.01, delay=0.1).shortfall(controller) > 0
         assert MarginCondition(modulus=0.1, delay=least.delay * 1.01).shortfall(controller) > 0
-        name, degrees = least.modulus_at.rsplit(", ", 1)
-        k = round(int(degrees.rstrip("°")) / 2)
-        assert margins(loop_at(controller, k, CORNERS[name])).modulus == pytest.approx(least.modulus, rel=1e-6)

@@ -15,14 +15,13 @@ from baselines import CONTROLLERS
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.actuator import dead_time
-from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon
-from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.robust import RobustController, RobustGains
-from baselines.planning.plan import Weights
+from baselines.optimal.lqg import feedback_gains
+from baselines.optimal.robust import RobustController
+from baselines.planning.plan import GAIN, TORQUE, Weights, planned
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.physics.sampled import sampled_state_space
@@ -66,6 +65,11 @@ class TestFeedbackGains:
             cost = solve_discrete_are(a, b[:, None], prices(weights, float(ANGLES[k])), np.array([[weights.change]]))
             expected = b @ cost @ a / (weights.change + b @ cost @ b) - [0, 0, 0, 0, 1]  # of the torque, not its change
             np.testing.assert_allclose(gains[k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+    def test_are_those_of_a_plan_at_rest(self):
+        plan = planned(np.array([0.3, ANGLES[22], 0.5, 0.1]), ArmParams().row(), Weights(0.3, 2.0, 20.0))
+        gains = feedback_gains(ArmParams(), Weights(0.3, 2.0, 20.0))
+        np.testing.assert_allclose(plan[500, GAIN:TORQUE], gains[22], rtol=1e-4)
 
     @pytest.mark.parametrize("speed", [0.0, 1.7])
     def test_errors_are_the_tips(self, speed: float):
@@ -169,18 +173,11 @@ def test_prediction_is_the_arm_without_friction():
         assert (np.abs(predicted[:4] - (state - wanted())) < [1e-5, 1e-3, 3e-5, 3e-3]).all()
 
 
-DESIGN, WEIGHTS, NOISE = design_model(), Weights(1.0, 10.0, 20.0), Noise(5e-3, 0.3, 1e-3)
+DESIGN, WEIGHTS = design_model(), Weights(1.0, 10.0, 20.0)
+NOISE, LOUD = Noise(5e-3, 0.3, 1e-3), Noise(0.014, 1.7, 0.01)
 
 
 class TestRobust:
-    def test_arms_around_the_design_model_are_the_corners(self):
-        arms = robust.arms_around(DESIGN)
-        for name, corner in CORNERS.items():
-            wanted = [getattr(corner, field) for field in LOOP_FIELDS]
-            assert any(np.allclose([getattr(arm, field) for field in LOOP_FIELDS], wanted, 1e-9) for arm in arms), name
-        latencies = sorted({round(arm.command_latency / CONTROL_PERIOD, 6) for arm in arms})
-        assert latencies == [0.0, 0.75, 1.5, 2.5], "late ones come with a sample more, too"
-
     @pytest.mark.parametrize("k", [0, 20, 45])
     def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
         controller = RobustController()
@@ -199,32 +196,15 @@ class TestRobust:
             scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal())) + 1e-30
             assert (np.abs(single - expected) / scale).max() < 1e-6
 
-    @pytest.mark.parametrize("shrunk", [1.0, 0.99])
-    def test_slope_is_that_of_the_cost(self, shrunk: float):
-        loops, gain = robust.loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
-        _, slope = robust.mean_cost(gain, loops, shrunk)
-        for i, step in enumerate(1e-5 * np.diag(np.abs(gain))):
-            after, before = (robust.mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
-            assert (after - before) / (2 * step[i]) == pytest.approx(slope[i], rel=1e-3)
-
-    @pytest.mark.parametrize("k", [0, 20, 45])
-    def test_its_gain_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int):
-        loops, start = robust.loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
-        gain = robust.least_cost_gain(start, loops)
+    @pytest.mark.parametrize(("k", "noise"), [(0, NOISE), (20, NOISE), (45, NOISE), (45, LOUD)])
+    def test_its_gain_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int, noise: Noise):
+        """Also where LQG's does not hold them all, and costs without end."""
+        loops, start = robust.loops_at(DESIGN, k, WEIGHTS, noise, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
+        before, gain = robust.mean_cost(start, loops)[0], robust.least_cost_gain(start, loops)
         cost = robust.mean_cost(gain, loops)[0]
-        assert cost < 0.99 * robust.mean_cost(start, loops)[0]
+        assert cost < 0.99 * before and (before == math.inf) == (noise is LOUD)
         for step in 0.1 * np.diag(start):
             assert all(robust.mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
-
-    def test_holds_every_corner_at_every_angle_where_lqg_with_the_same_weights_does_not(self):
-        weights = {"velocity_weight": 1.0, "torque_weight": 10.0, "change_weight": 20.0}
-        noise = {"torque_noise": 0.014, "acceleration_noise": 1.7, "disturbance_noise": 0.01}
-        worst = []
-        for kind in (RobustController, LqgController):
-            controller = kind(RobustGains(**weights, **noise))
-            loops = [loop_at(controller, k, arm) for k in (0, 23, 45) for arm in CORNERS.values()]
-            worst.append(max(float(np.abs(closed_poles(loop)).max()) for loop in loops))
-        assert worst[0] < 1 < worst[1]
 
     def test_stored_gains_are_what_the_design_finds(self, tmp_path: Path):
         robust.write_gains(tmp_path / "robust.json")

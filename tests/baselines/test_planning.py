@@ -5,7 +5,6 @@ from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 
-import control
 import numpy as np
 import pytest
 from commands import mistake
@@ -19,7 +18,7 @@ from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
 from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque
 from baselines.planning.replanning import PlanCache, Situation
-from baselines.planning.task_plan import _cost, improve, plan_room, plan_squares, plan_task, problem_of
+from baselines.planning.task_plan import _cost, plan_room, plan_task, problem_of
 from baselines.yardsticks.clairvoyant import optimum
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
 from baselines.yardsticks.privileged import PrivilegedController
@@ -76,23 +75,6 @@ class TestPlan:
             assert costs[0] - best == pytest.approx(costs[1] - best, rel=1e-3), "stationary: no slope, only curvature"
         assert linear_run(None, gains=0.8)[0] > best
 
-    def test_gain_at_rest_is_that_of_the_infinite_horizon(self):
-        plan = planned(np.array([0.3, 0.8, 0.5, 0.1]), ArmParams().row(), WEIGHTS)
-        tables = linear_arm(ArmParams())
-        by_state, by_torque = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
-        a, b = np.eye(5), np.append(by_torque, 1.0)  # the last torque as fifth state, its change as input
-        a[:4, :4], a[:4, 4] = by_state, by_torque
-        radial, reach = 0.5 * math.sin(0.8), 0.5 * math.cos(0.8) + 0.1
-        of_angles = [[-radial / GEAR, 0, radial, 0], [0, 0, reach, 0]]
-        c = np.array([*of_angles, [0, -radial / GEAR, 0, radial], [0, 0, 0, reach]])
-        q = np.zeros((5, 5))
-        q[:4, :4], q[4, 4] = c.T @ np.diag([1e4, 1e4, 0.3 / 0.04, 0.3 / 0.04]) @ c, WEIGHTS.torque
-        state_cost = a.T @ q @ a
-        state_cost = (state_cost + state_cost.T) / 2
-        price = np.array([[WEIGHTS.change + b @ q @ b]])
-        gain, _, _ = control.dlqr(a, b[:, None], state_cost, price, (a.T @ q @ b)[:, None])
-        np.testing.assert_allclose(plan[500, GAIN:TORQUE], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
-
     def test_is_read_between_samples(self):
         plans = [planned(MOVE[0], ArmParams().row(), WEIGHTS)]
         x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
@@ -145,15 +127,6 @@ def test_improvement_lowers_the_tasks_cost_on_the_nonlinear_arm():
 def test_improved_plans_keep_within_the_torque_limit():
     for plan in task_plans(30):
         assert np.abs(plan[:-1, 9]).max() <= ARM.torque_limit
-
-
-def test_what_is_past_stays():
-    (before, *_), room, move = task_plans(0), plan_room(), MoveShape(*MOVES[0])
-    plan_squares(move, TABLE[0], plan_cost(TASK_WEIGHTS), 0, room, np.empty((1200, 10)))
-    after = before.copy()
-    assert improve(after, 101, problem_of(move, TABLE[0]), room)
-    assert (after[:101, 9] == before[:101, 9]).all() and (after[:102, :4] == before[:102, :4]).all()
-    assert not (after[101:, 9] == before[101:, 9]).all()
 
 
 def test_nothing_is_left_to_improve_at_the_end():
@@ -254,10 +227,10 @@ def test_unknown_scenario_is_one_line(tmp_path: Path):
 
 
 def test_the_privileged_controller_costs_less_and_knows_its_own_arms_alone():
-    env = BeltArmVectorEnv(12, autoreset_mode="Disabled", randomization="ideal")
+    env = BeltArmVectorEnv(4, autoreset_mode="Disabled", randomization="ideal")
     env.reset(seed=5_000_000)
     oracle = PrivilegedController(env.params)
-    cost = rollout(oracle, 12, seed=5_000_000, randomization="ideal", sensors="full").cost.mean()
-    assert cost < rollout(AdaptiveController(), 12, seed=5_000_000, randomization="ideal").cost.mean()
-    for shape, words in (((12, size()), ("sensors='full'",)), ((4, size("full")), ("12 arms", "4"))):
+    cost = rollout(oracle, 4, seed=5_000_000, randomization="ideal", sensors="full").cost
+    assert (cost < rollout(AdaptiveController(), 4, seed=5_000_000, randomization="ideal").cost).all()
+    for shape, words in (((4, size()), ("sensors='full'",)), ((3, size("full")), ("4 arms", "3"))):
         refused(ValueError, words, partial(oracle.predict, np.zeros(shape, np.float32)))

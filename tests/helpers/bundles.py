@@ -1,4 +1,4 @@
-"""Small untrained policies, changes to their files, and halves of their cards."""
+"""Small untrained policies, and changes to their files."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from safetensors.numpy import save
 
 from agents.policy.actor import Actor
@@ -43,10 +42,3 @@ class Exploit:
 
     def __reduce__(self) -> Any:
         return (Path.touch, (self.target,))
-
-
-def halves(text: str) -> tuple[dict[str, Any], str]:
-    """Front matter and Markdown of a card, parted where the Hub parts them."""
-    empty, matter, body = text.split("---\n", 2)
-    assert empty == ""
-    return yaml.safe_load(matter), body
