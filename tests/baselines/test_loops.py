@@ -1,5 +1,6 @@
 """Linear loops of the classical controllers: each against its controller at work, margins against poles and latency."""
 
+import itertools
 import math
 from dataclasses import replace
 from functools import cache
@@ -18,7 +19,7 @@ from baselines.loops.condition import MarginCondition, believing, least_margins
 from baselines.loops.laws import law_of
 from baselines.loops.margins import Margins, margins, margins_from_poles
 from baselines.loops.models import Loop, System, is_stable, law_system, loop_at, sampled_arm
-from baselines.models.corners import CORNERS, LOOP_FIELDS
+from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
@@ -189,6 +190,20 @@ class TestCorners:
         for field in set(TRAIN_RANGES) - set(LOOP_FIELDS):
             other = replace(design_model(), **{field: TRAIN_RANGES[field][1]})
             assert all(map(np.array_equal, *(sampled_state_space(arm, 0.7) for arm in (design_model(), other)))), field
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
+    def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
+        angles, chosen = (0, 12, 24, 36, 45), itertools.product((0, 1), repeat=len(LOOP_FIELDS))
+        every = [corner(*itertools.compress(LOOP_FIELDS, high)) for high in chosen]
+        laws, least = {k: law_system(law_of(untuned(name), k)) for k in angles}, []
+        for arms in (CORNERS.values(), every):
+            loops = [Loop(laws[k], sampled_arm(arm, float(ANGLES[k]))) for arm in arms for k in angles]
+            actual = margins(*loops)
+            least.append((actual.modulus.min(), actual.delay.min()))
+            assert actual.stable.all()
+        assert least[1][0] <= least[0][0] < least[1][0] + 0.08
+        assert least[1][1] <= least[0][1] < 1.2 * least[1][1]
 
     def test_an_arm_that_is_identified_is_believed_in(self):
         controller = AdaptiveController()
