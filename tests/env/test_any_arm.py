@@ -1,4 +1,4 @@
-"""Whatever the arm, the move and the torque: numbers within their bounds, and the same without a compiler."""
+"""Whatever the arm, the move and the torque: numbers within their bounds."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import python
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from properties import examples
@@ -113,44 +112,3 @@ def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(options: 
         assert observation in env.observation_space
         assert -MAX_COST * EPISODE_STEPS <= reward <= 0
         assert np.isfinite([*info.values(), *env.state]).all()
-
-
-STICK_SLIP = """
-import numpy as np
-from beltarm_env import BeltArmEnv, BeltArmVectorEnv
-
-torques = np.repeat([0.25, -0.3, 0.12, 0.0, 0.4], 10)[:, None]
-single = BeltArmEnv(sensors="full", delay=1)
-batch = BeltArmVectorEnv(3, sensors="tip", profile="scurve", randomization="train", delay=[0.0, 1.0, 1.4])
-felt = BeltArmVectorEnv(2, sensors="accelerometer", randomization="train", delay=[0.0, 0.3])
-options = {"move": {"start": 0.7, "goal": 1.4}, "params": {"belt_stiffness": 60.0}}
-returned = [single.reset(seed=1, options=options)[0], batch.reset(seed=2)[0], felt.reset(seed=3)[0]]
-speeds = []
-for torque in torques:
-    observation, reward, *_ = single.step(torque)
-    observations, rewards, *_ = batch.step(torque * [[1.0], [0.7], [-1.0]])
-    returned += [observation, np.array(reward), observations, rewards, batch.tip_errors()]
-    returned.append(felt.step(torque * [[1.0], [-0.5]])[0])
-    speeds.append(single.state[1])
-"""
-PLAIN = """
-import beltarm_env.kernels.step as step
-
-assert not hasattr(step.step_arm, "py_func")
-np.savez("plain.npz", *returned)
-_, reward, terminated, truncated, info = single.step(np.ones(1))
-assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool], "types"
-assert {type(value) for value in info.values()} == {float}, "types in info"
-"""
-
-
-def test_without_compiler_the_very_same_numbers_and_types(tmp_path: Path):
-    compiled: dict[str, Any] = {}
-    exec(STICK_SLIP, compiled)
-    speeds = np.array(compiled["speeds"])
-    assert (speeds == 0).any() and (speeds > 1).any() and (speeds < -1).any(), "the motor sticks, slips and reverses"
-    python("-W", "error", "-c", STICK_SLIP + PLAIN, cwd=tmp_path, path=(ROOT,), BELTARM_ENGINE="plain")
-    with np.load(tmp_path / "plain.npz") as plain:
-        assert len(plain.files) == len(compiled["returned"])
-        for name, array in zip(plain.files, compiled["returned"], strict=True):
-            assert plain[name].tobytes() == array.tobytes()

@@ -112,18 +112,6 @@ class TestModel:
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith("MuJoCo: ") and "QVEL" in line
 
-    def test_a_stuck_motor_creeps_as_documented(self):
-        params, torque, impedance, rate = ArmParams(), 0.02, 0.9999, 2000.0
-        model = load_model(params, friction_impedance=impedance, friction_rate=rate)
-        data = mujoco.MjData(model)
-        data.ctrl[0] = torque
-        mujoco.mj_step(model, data, 2400)
-        before = data.qpos[0]
-        mujoco.mj_step(model, data, 2400)
-        inverse_inertia = np.linalg.inv(full_arm_at(params, 0.0, 0.0).mass_matrix())[0, 0]
-        creep = (1 - impedance) / rate * inverse_inertia * GEAR * torque
-        assert (data.qpos[0] - before) / (2400 * model.opt.timestep) == pytest.approx(creep, rel=0.02)
-
 
 def distance_of_engines(params: dict[str, float]) -> float:
     """Largest distance of the tips in the two engines [m], given the same commands."""

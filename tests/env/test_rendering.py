@@ -109,23 +109,6 @@ class TestFrame:
         assert rows[0] - rows[1] == pytest.approx(12.0 * 194 / 60, abs=1.0)
         assert rows[2] == pytest.approx(6, abs=1.5), "beyond 30 mm the tip stays at the edge"
 
-    def test_trace_grows_fades_and_is_forgotten(self):
-        renderer = Renderer("rgb_array", 50)
-
-        def traced(time: float) -> bool:
-            picture: Any = renderer.draw(PARAMS, state(0.0), 0.0, time)
-            plain: Any = Renderer("rgb_array", 50).draw(PARAMS, state(0.0), 0.0, time)
-            return bool((picture[MAGNIFIER] != plain[MAGNIFIER]).any())
-
-        renderer.draw(PARAMS, state(0.0, 0.03), 0.0, 0.1)
-        renderer.draw(PARAMS, state(0.0, -0.03), 0.0, 0.2)
-        assert traced(0.3)
-        renderer.clear()
-        assert not traced(0.3)
-        renderer.draw(PARAMS, state(0.0, 0.03), 0.0, 0.35)
-        assert not traced(0.8), "0.45 s are too long ago"
-        assert not traced(0.01), "time went back: a new episode"
-
     def test_absurd_states_do_not_crash(self):
         for x in ([1e300, 0, 0, 0], [0, 0, 1e6, 0], [math.nan, 0, 0, 0], [0, 0, math.inf, 0], [0, 0, math.pi, 0]):
             assert Renderer("rgb_array", 50).draw(PARAMS, np.array(x, dtype=float), 0.5, 0.0) is not None

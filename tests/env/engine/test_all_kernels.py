@@ -40,9 +40,10 @@ def step_environments() -> None:
 
 
 def play(env: Any, action: float, steps: int) -> None:
+    """Push back and forth, so that motors stick, slip and turn round."""
     env.reset(seed=1)
-    for _ in range(steps):
-        env.step(np.full(env.action_space.shape, action, np.float32))
+    for k in range(steps):
+        env.step(np.full(env.action_space.shape, action * (-1) ** (k // 8), np.float32))
 
 
 def drive(controller: Any, sensors: Any) -> None:
