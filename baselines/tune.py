@@ -6,8 +6,7 @@ origin. Each search keeps a journal, from which `--resume` continues, with the o
 told. A new search begins with untuned gains, never with tuned ones: otherwise budgets would add up.
 
 Gains are refused before anything is simulated if their loop lacks modulus and delay margins, on the design model or at
-a corner of the training ranges. `--no-margins` accepts them, for another file with `--out`: the difference in cost is
-the price of the margins.
+a corner of the training ranges. `--no-margins` accepts them, for another file with `--out`.
 """
 
 from __future__ import annotations
@@ -17,11 +16,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rich.console import Console
+from baselines.tools.command import resume_command, run_command, stop_without
 
-from baselines.engines.parallel import Interrupted
-from baselines.tools.command import resume_command, run_command
-from baselines.tuning.run import TuningConfig, tune
+try:
+    from rich.console import Console
+
+    from baselines.engines.parallel import Interrupted
+    from baselines.tuning.run import TuningConfig, tune
+except ModuleNotFoundError as error:
+    stop_without("baselines/tune.py", error)
 
 
 def run(config: TuningConfig) -> None:

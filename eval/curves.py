@@ -1,8 +1,7 @@
 """Draw learning curves: `python eval/curves.py`, or those of your own runs with `--runs FOLDER ...`.
 
-A folder is that of a run, of a policy, or of several of them (seed0, seed1, ...). Every run is a thin line. The thick
-line is the median of a method's runs, and the band their interquartile range. Dashed lines show what controllers that
-do not learn reach on the same arms.
+A folder is that of a run, of a policy, or of several (seed0, seed1, ...). Thin lines are runs; the thick line is the
+median of a method's runs, the band their interquartile range. Dashed: controllers that do not learn, on the same arms.
 """
 
 import sys
@@ -12,13 +11,17 @@ from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
+from baselines.tools.command import run_command, stop_without
 
-from agents.policy.bundle import POLICIES
-from baselines.tools.command import run_command
-from baselines.tools.files import require_writable
-from eval.report.curves import curves_figure, find_curves, levels
-from eval.report.style import save_figure
+try:
+    import tyro
+
+    from agents.policy.bundle import POLICIES
+    from baselines.tools.files import require_writable
+    from eval.report.curves import curves_figure, find_curves, levels
+    from eval.report.style import save_figure
+except ModuleNotFoundError as error:
+    stop_without("eval/curves.py", error)
 
 
 @dataclass(frozen=True)

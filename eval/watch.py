@@ -12,16 +12,20 @@ from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
-from rich.console import Console
+from baselines.tools.command import require_bounds, run_command, stop_without
 
-from baselines.tools.command import require_bounds, run_command
-from baselines.tools.files import require_writable
-from baselines.tools.progress import progress_over
-from eval.comparison.methods import chosen, methods_side_by_side
-from eval.comparison.sets import MOST, choose_set, fresh_scenarios
-from eval.comparison.splits import EPISODES, SPLITS
-from eval.report import side_by_side
+try:
+    import tyro
+    from rich.console import Console
+
+    from baselines.tools.files import require_writable
+    from baselines.tools.progress import progress_over
+    from eval.comparison.methods import chosen, methods_side_by_side
+    from eval.comparison.sets import MOST, choose_set, fresh_scenarios
+    from eval.comparison.splits import EPISODES, SPLITS
+    from eval.report import side_by_side
+except ModuleNotFoundError as error:
+    stop_without("eval/watch.py", error)
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,17 @@ of several controllers on arms of the training ranges. They are simulated first 
 an interruption, the same command continues with the episodes that it has.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.observer.run import ObserverConfig, run
-from baselines.tools.command import run_command
+from baselines.tools.command import run_command, stop_without
+
+try:
+    from agents.observer.run import ObserverConfig, run
+except ModuleNotFoundError as error:
+    stop_without("train/observer.py", error)
 
 
 def main() -> None:

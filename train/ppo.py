@@ -10,15 +10,18 @@ The model is in `agents/learners/ppo.py`. On a base that leaves little to find, 
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.ppo import PpoConfig
-from agents.runs.command_line import main
+from baselines.tools.command import stop_without
+
+try:
+    from agents.learners.ppo import PpoConfig
+    from agents.runs.command_line import main
+except ModuleNotFoundError as error:
+    stop_without("train/ppo.py", error)
 
 if __name__ == "__main__":
     main(PpoConfig, __doc__)

@@ -7,15 +7,18 @@ J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017; S. Hochreiter
 Memory, 1997.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.ppo import RecurrentPpoConfig
-from agents.runs.command_line import main
+from baselines.tools.command import stop_without
+
+try:
+    from agents.learners.ppo import RecurrentPpoConfig
+    from agents.runs.command_line import main
+except ModuleNotFoundError as error:
+    stop_without("train/recurrent_ppo.py", error)
 
 if __name__ == "__main__":
     main(RecurrentPpoConfig, __doc__)

@@ -6,15 +6,18 @@ A run writes the same files as `train/ppo.py`. What differs from the textbook's 
 T. Haarnoja et al.: Soft Actor-Critic Algorithms and Applications, 2018.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.sac import SacConfig
-from agents.runs.command_line import main
+from baselines.tools.command import stop_without
+
+try:
+    from agents.learners.sac import SacConfig
+    from agents.runs.command_line import main
+except ModuleNotFoundError as error:
+    stop_without("train/sac.py", error)
 
 if __name__ == "__main__":
     main(SacConfig, __doc__)

@@ -9,15 +9,18 @@ S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Stru
 Learning, 2011.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.student import StudentConfig
-from agents.runs.command_line import main
+from baselines.tools.command import stop_without
+
+try:
+    from agents.learners.student import StudentConfig
+    from agents.runs.command_line import main
+except ModuleNotFoundError as error:
+    stop_without("train/student.py", error)
 
 if __name__ == "__main__":
     main(StudentConfig, __doc__)

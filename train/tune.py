@@ -6,17 +6,19 @@ They are kept in a journal, from which `--resume` continues; their policies are 
 prints how to train with the best settings.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, tune
-from baselines.engines.parallel import StopRequest, stop_on_signals
-from baselines.tools.command import resume_command, run_command
-from baselines.tools.files import write_text
+from baselines.tools.command import resume_command, run_command, stop_without
+
+try:
+    from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, tune
+    from baselines.engines.parallel import StopRequest, stop_on_signals
+    from baselines.tools.files import write_text
+except ModuleNotFoundError as error:
+    stop_without("train/tune.py", error)
 
 
 def run(config: TuningConfig) -> None:

@@ -46,7 +46,7 @@ for name, controller in {"paper": CONTROLLERS["paper"](), "mine": controller_of(
 # .. code-block:: sh
 #
 #    .venv/bin/python eval/check_controller.py docs/examples/my_servo.py:MyServo
-#    make compare ARGS="--add docs/examples/my_servo.py:MyServo --methods flat --scenarios development"
+#    make compare ARGS="--add docs/examples/my_servo.py:MyServo --methods flat --scenarios development --out results/my-servo"
 #
 # Export it
 # ---------

@@ -65,13 +65,7 @@ def empty_device(lanes: int = LANES) -> Device:
 def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, holds_part: bool, count: int) -> None:
     """Begin a move with an arm at rest.
 
-    Args:
-        device: Written.
-        plant: Arm with the gear ratio of the drive.
-        resolution: Resolution of the encoder [rad per count].
-        move: The move.
-        holds_part: Whether the gripper holds a part.
-        count: Count of the encoder.
+    The plant has the gear ratio of the drive, `resolution` is that of the encoder [rad per count], `count` its count.
     """
     block = device.block
     for row in range(at.ROWS):
