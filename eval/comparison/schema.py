@@ -171,11 +171,9 @@ def check(content: object, where: str) -> None:
 
 
 def read_results(path: Path, wanted: SetLabel | None = None) -> dict[str, Any]:
-    """Read and check a `results.json`; NaN and infinities become text, which the schema refuses.
+    """Read and check a `results.json`, which must be of the wanted set of scenarios.
 
-    Args:
-        path: The file.
-        wanted: Set of scenarios that it must be of.
+    NaN and infinities become text, which the schema refuses.
 
     Raises:
         ValueError: If it is damaged, or of another edition, version or set of the scenarios.

@@ -3,12 +3,9 @@
 Controllers take turns, on arms of their own; random torques disturb some of the episodes. docs/guide/dataset.md tells
 what a dataset holds, and how to use it. Needs the extra minari.
 
-An episode is disturbed in one of two ways, or not at all:
-
-    noise       smooth noise is added to the torque, all along
-    stretches   now and then the controller is not asked, and smooth noise is the torque
-
-The noise is of first order. Everything is drawn from the episode's own seed, and so the same in any batch.
+An episode is disturbed in one of two ways, or not at all. *Noise* is added to the torque, all along. Or now and then,
+for *stretches*, the controller is not asked, and noise is the torque. The noise is smooth, of first order. Everything
+is drawn from the episode's own seed, and so the same in any batch.
 """
 
 import os

@@ -18,10 +18,7 @@ MANIFEST = "manifest.json"
 def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> None:
     """Check that a folder is not there, is empty, or was written by an export of the same kind.
 
-    Args:
-        folder: The folder.
-        marker: JSON file by whose entry "format" an export is known.
-        form: That entry.
+    An export is known by the entry "format" of a JSON file, the marker.
 
     Raises:
         ValueError: If it holds anything else.

@@ -137,7 +137,9 @@ def _finish(figure: Figure, note: str, axes: Sequence[Axes]) -> None:
 
 def _answer(results: Results, note: str) -> Figure:
     """Draw the time until still and the cost on the main split as bars with their intervals, the best method on top."""
-    rows = [row for row in reversed(results.on(results.main)) if estimate(row, "cost").iqm < _DRAWN]
+    every = list(reversed(results.on(results.main)))
+    rows = [row for row in every if estimate(row, "cost").iqm < _DRAWN] or every
+    dear = f"; not drawn: costs above {_DRAWN:.0f}" if len(rows) < len(every) else ""
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 0.9 + 0.3 * len(rows)), layout="constrained", sharey=True)
     for axis, name, scale, title in zip(axes, ("still_s", "cost"), (1000, 1), _ANSWERS, strict=True):
         for height, row in enumerate(rows):
@@ -156,7 +158,7 @@ def _answer(results: Results, note: str) -> Figure:
         axis.margins(x=0.12)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_yticks(range(len(rows)), [row["method"] for row in rows])
-    _finish(figure, f"{note}, {results.main}: interquartile means with 95 % intervals", list(axes))
+    _finish(figure, f"{note}, {results.main}: interquartile means with 95 % intervals{dear}", list(axes))
     return figure
 
 

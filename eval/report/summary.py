@@ -110,8 +110,9 @@ def headline(results: Results) -> str:
     names = [f"the {word}{_KINDS[row['kind']]}, {row['method']}" for word, row in zip(best, pair, strict=True)]
     times = [f"{1000 * estimate(row, 'still_s').iqm:.0f} ms with {name}" for name, row in zip(names, pair, strict=True)]
     still = ", and in ".join(times) + unsure.get(tests["still_s"]["result"], "")
-    change = f"{100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
-    return f"After {after} the arm's end is still in {still}; the move costs {change}{unsure.get(cost['result'], '')}."
+    change = f"the move costs {100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
+    change = {"open": "no difference in the cost of the move is shown"}.get(cost["result"], change)
+    return f"After {after} the arm's end is still in {still}; {change}."
 
 
 def described(results: Results) -> list[dict[str, Any]]:

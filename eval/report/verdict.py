@@ -105,7 +105,8 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]
-    words = {"pair": pair, "home": home, "away": [(outcome, away) for outcome, away in arrivals if away.any()]}
+    away = [(outcome, shares) for outcome, shares in arrivals if shares.any()]
+    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away}
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
         return _sentences(tests={}, episodes=episodes, **words), []
