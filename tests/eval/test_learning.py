@@ -50,13 +50,6 @@ def test_variants_are_the_default_with_one_thing_changed():
         assert variant.script == "student" or variant.factor == "learner"
 
 
-def test_every_variant_has_its_seeds_and_its_first_before_any_second():
-    plan = [(run.variant.name, run.seed) for run in learning.planned(learning.Options(seeds=3))]
-    assert [seed for _, seed in plan] == sorted(seed for _, seed in plan)
-    for variant in VARIANTS:
-        assert [seed for name, seed in plan if name == variant.name] == ([0] if variant.once else [0, 1, 2])
-
-
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
     for name in ("default", "single", "ppo", "ppo-taught", "sac", "gru-0"):
         script, *options = Run(BY_NAME[name], 0, 8_000_000, tmp_path).words

@@ -14,21 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bundles import Exploit
+from bundles import SPEC, Exploit, new_weights
 from commands import mistake, stopped
 
-from agents.policy.actor import Actor
-from agents.policy.bundle import (
-    ACCELEROMETER_POLICIES,
-    CARD,
-    POLICIES,
-    POLICY_FILE,
-    load_controller,
-    read_spec,
-    save_bundle,
-)
-from agents.policy.description import BundleSpec
-from agents.residual.controller import ResidualSettings
+from agents.policy import bundle
+from agents.policy.bundle import CARD, POLICIES, POLICY_FILE, read_spec
 from beltarm_env.rollout import rollout
 from eval import export
 from eval.comparison.sets import choose_set
@@ -67,8 +57,7 @@ def refusal(*arguments: str, folder: Path) -> str:
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     """A user's policy."""
-    spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
-    save_bundle(tmp_path / "own", spec, Actor(spec.shape()).weights())
+    bundle.save_bundle(tmp_path / "own", SPEC, new_weights())
     return tmp_path / "own"
 
 
@@ -85,7 +74,8 @@ def test_the_folder_of_a_shipped_policy(
     assert "hf upload some-lab/arm.1 results/hub/arm.1\n" in capsys.readouterr().out
     assert (folder / POLICY_FILE).read_bytes() == (POLICY / POLICY_FILE).read_bytes()
 
-    run = rollout(load_controller(folder), EPISODES, **choose_set("test").splits["shift"].arguments(slice(EPISODES)))
+    scenarios = choose_set("test").splits["shift"].arguments(slice(EPISODES))
+    run = rollout(bundle.load_controller(folder), EPISODES, **scenarios)
     reward = -run.over_moves(run.cost)
     mean_reward = f"{np.mean(reward):.2f} +/- {np.std(reward):.2f}"
     card = huggingface_hub.ModelCard.load(folder / CARD)
@@ -128,7 +118,7 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(hub, "_SPEED", 10.0)
-    share(str(ACCELEROMETER_POLICIES / "student/seed0"), "--video", folder=tmp_path)
+    share(str(bundle.ACCELEROMETER_POLICIES / "student/seed0"), "--video", folder=tmp_path)
     folder = tmp_path / "results/hub/student-BeltArm-v0"
     assert (folder / FILM).read_bytes()[4:8] == b"ftyp"
     assert json.loads((folder / CONFIG).read_text())["sensors"] == "accelerometer"

@@ -5,13 +5,12 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import mistake, python, stopped
 from refusals import refused
 
 from baselines import CONTROLLERS
@@ -124,9 +123,7 @@ def test_python_on_the_page_runs(compiler: Any, number: int, tmp_path: Path):
     for extra in ("fmpy", "onnx"):
         if re.search(rf"(import|from) {extra}\b", blocks("python")[number]):
             pytest.importorskip(extra)
-    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{blocks('python')[number]}"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
+    python("-c", blocks("python")[number], cwd=tmp_path, path=(ROOT,))
 
 
 def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
