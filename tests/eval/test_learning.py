@@ -15,7 +15,7 @@ from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
-from eval.studies import learning
+from eval.studies import _frame, learning
 from eval.studies.learning import runs
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, training_digest
 
@@ -24,10 +24,11 @@ BY_NAME = {variant.name: variant for variant in VARIANTS}
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
-    """The run of a first try of the study, and its result."""
-    folder = tmp_path_factory.mktemp("learning")
+    """The run of a first try of the study, and its result; `test_curves.py` computes levels of curves."""
+    folder, kept = tmp_path_factory.mktemp("learning"), _frame.read_data(_frame.RESULTS / "learning")["shipped_levels"]
     with pytest.MonkeyPatch.context() as patch:
         hurry(patch)
+        patch.setattr(learning, "levels", lambda _: kept)
         try_study("learning", folder)
     run = Run(DEFAULT, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
     result = run.finished(4)

@@ -142,9 +142,9 @@ def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def readme_examples() -> list[str]:
-    """As they are, but for the length of a training: one update tells as much as five."""
-    blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
-    return [re.sub(r"learn\(\d+_000\)", "learn(1)", block.split("```")[0]) for block in blocks]
+    """As they are, but for the size of a training: one update on fewer arms tells as much."""
+    text = re.sub(r"learn\(\d+_000\)", "learn(1)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    return [block.split("```")[0].replace("(512,", "(128,") for block in text.split("```python\n")[1:]]
 
 
 @pytest.mark.filterwarnings("default", "error::UserWarning:beltarm_env")
