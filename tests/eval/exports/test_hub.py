@@ -7,7 +7,6 @@ import pickle
 import runpy
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -157,34 +156,13 @@ def test_missing_packages_are_named(
 
 # Loading what others offer
 
-_watched: list[tuple[str, str]] | None = None
-
-
-def _watch(event: str, arguments: tuple[Any, ...]) -> None:
-    if _watched is not None and event in ("open", "import", "exec", "compile", "pickle.find_class", "os.system"):
-        _watched.append((event, os.fsdecode(arguments[0]) if isinstance(arguments[0], str | bytes) else ""))
-
-
-sys.addaudithook(_watch)  # Python knows no way to take one back: it rests where nothing is watched
-
-
-@pytest.fixture
-def watched() -> Iterator[list[tuple[str, str]]]:
-    """Files that Python opens and code that it begins, by name of the event."""
-    global _watched
-    _watched = []
-    yield _watched
-    _watched = None
-
 
 def example(*arguments: str, folder: Path) -> tuple[int, str]:
     return stopped(lambda: runpy.run_path(str(EXAMPLE), run_name="__main__"), arguments, folder)
 
 
-def test_nothing_beside_a_policy_is_read_run_or_offered(
-    own: Path, watched: list[tuple[str, str]], capsys: pytest.CaptureFixture[str]
-):
-    """A policy between files that do harm where they are loaded."""
+def test_nothing_beside_a_policy_is_run_or_offered(own: Path, capsys: pytest.CaptureFixture[str]):
+    """A policy between files that do harm where they are loaded, or read: that never ends, or fails."""
     target = own.parent / "executed"
     for name in ("policy.pkl", "model.zip", "pytorch_model.bin", "weights-0.safetensors"):
         (own / name).write_bytes(pickle.dumps(Exploit(target)))
@@ -192,11 +170,8 @@ def test_nothing_beside_a_policy_is_read_run_or_offered(
         (own / name).write_text(f"open({str(target)!r}, 'w')")
     os.mkfifo(own / "weights-1.safetensors")
     (own / "weights-2.safetensors").symlink_to("/dev/zero")
-    watched.clear()
+    (own / "config.json").mkdir()
     assert example(str(own), folder=own) == (0, "")
-    inside = {name for _, name in watched if name.startswith(str(own))}
-    assert inside == {str(own / POLICY_FILE)}
-    assert not [event for event in watched if event[0] == "pickle.find_class" and "Path" in event[1]]
     assert capsys.readouterr().out.startswith("ppo on paper: cost ")
     share(str(own), "--out", "../out", folder=own)
     offered = {path.name for path in (own.parent / "out").iterdir()}
