@@ -10,10 +10,11 @@ from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record
 from beltarm_env.task.ranges import DRIVE_RANGES
+from eval.comparison.sets import development_set
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
-from eval.studies.observers import score
+from eval.studies.observers import score, scores_of, watchers
 from eval.studies.presliding import CLEAN, verdicts
 
 # Drive
@@ -66,6 +67,15 @@ def test_scores_of_errors_that_are_known():
     assert np.allclose(stated.rms, np.sqrt((0.25 + 0.25 + 2.25 + 9) / 4))
     assert np.all(stated.within_one == 0.5) and np.all(stated.within_two == 0.75)
     assert np.isnan(score([Estimate(mean, np.full_like(mean, np.nan))], true).within_one).all()
+
+
+def test_observers_correct_the_filter_and_know_how_well():
+    """32 arms are too few for their constants to tell much more."""
+    scores = scores_of("adaptive", watchers(), development_set().splits["randomized"], 32)
+    corrected, alone, known = (scores[name] for name in ("learned on the filter", "learned alone", "filter"))
+    assert (corrected.rms / known.rms).max() < 1.03 and 0.62 < corrected.within_one.mean() < 0.76
+    torsion = NAMES.index("torsion")
+    assert alone.rms[torsion] > known.rms[torsion], "the encoder alone shows less"
 
 
 # Presliding

@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 from commands import stopped
 
-from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
-from baselines.tools.options import parse
 from eval.studies._frame import names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,11 +52,3 @@ def test_help_may_be_cut_off():
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == "" and process.wait(timeout=300) == 0
-
-
-def test_unknown_options_are_refused(capfd: pytest.CaptureFixture[str]):
-    for words in (["--aarms", "3"], ["--arms", "None"]):
-        with pytest.raises(SystemExit, match="2"):
-            parse(PpoConfig, arguments=words)
-        shown = capfd.readouterr()
-        assert shown.out == "" and shown.err

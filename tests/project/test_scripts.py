@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from commands import mistake, stopped
+from trainings import SHORT
 from waiting import until
 
 from agents.learners import ppo
@@ -27,7 +28,7 @@ from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "--arms 8 --rollout-steps 8 --batch-size 32 --validation-every 128 --validation-arms 4".split()
+TINY = (*SHORT, "--validation-every", "128")
 
 
 def train_ppo() -> None:
