@@ -9,11 +9,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from bundles import SPEC, new_weights
 from commands import mistake, stopped
 
-from agents.policy.actor import Actor
-from agents.policy.bundle import POLICIES, BundleSpec, save_bundle
-from agents.residual.controller import ResidualSettings
+from agents.policy.bundle import POLICIES, save_bundle
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
 from beltarm_env import BeltArmVectorEnv
@@ -187,15 +186,12 @@ def test_dominated_methods_run_where_they_are_named():
     assert not {*DOMINATED} & {method.name for method in choose_methods(())}
 
 
-def bundle(folder: Path, base: str = "paper") -> Path:
-    spec = BundleSpec("ppo", base, ResidualSettings(), (4,), provenance={"run": {"steps": 5}})
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
-    return folder
-
-
 def test_policies_are_grouped_by_method(tmp_path: Path):
     """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
-    folders: list[Path | str] = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
+    folders: list[Path | str] = [tmp_path / name for name in "abc"]
+    for folder, base in zip(folders, ("paper", "preview", "paper"), strict=True):
+        spec = replace(SPEC, base=base, provenance={"run": {"steps": 5}})
+        save_bundle(Path(folder), spec, new_weights(spec))
     methods = learned_methods([*folders, *(f"tried={folder}" for folder in folders[::2])])
     found = [(method.name, method.base, len(method.sources)) for method in methods]
     assert found == [("my-ppo", "paper", 2), ("my-ppo-preview", "preview", 1), ("tried", "paper", 2)]

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +14,18 @@ from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
-from eval.studies import learning
+from eval.studies import _frame, learning
 from eval.studies.learning import runs
-from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, training_digest
-
-BY_NAME = {variant.name: variant for variant in VARIANTS}
+from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant, training_digest
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
-    """The run of a first try of the study, and its result."""
-    folder = tmp_path_factory.mktemp("learning")
+    """The run of a first try of the study, and its result; `test_curves.py` computes levels of curves."""
+    folder, kept = tmp_path_factory.mktemp("learning"), _frame.read_data(_frame.RESULTS / "learning")["shipped_levels"]
     with pytest.MonkeyPatch.context() as patch:
         hurry(patch)
+        patch.setattr(learning, "levels", lambda _: kept)
         try_study("learning", folder)
     run = Run(DEFAULT, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
     result = run.finished(4)
@@ -35,34 +33,15 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]
     return run, result
 
 
-def test_variants_are_the_default_with_one_thing_changed():
-    """Their options are the script's own, allowed, and none of them is what the default has anyway."""
-    assert len({*BY_NAME, *FACTORS}) == len(VARIANTS) + len(FACTORS)
-    assert set(FACTORS) == {variant.factor for variant in VARIANTS[1:]}
-    assert VARIANTS[0] is DEFAULT and not DEFAULT.options
-    for variant in VARIANTS:
-        kind = ALGORITHMS[variant.script]
-        config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
-        config.check()
-        changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
-        assert len(changed) == len([word for word in variant.options if word.startswith("--")])
-        assert len(changed) <= {"base": 2, "learner": 3}.get(variant.factor, 1), variant.name
-        assert variant.script == "student" or variant.factor == "learner"
-
-
-def test_every_variant_has_its_seeds_and_its_first_before_any_second():
-    plan = [(run.variant.name, run.seed) for run in learning.planned(learning.Options(seeds=3))]
-    assert [seed for _, seed in plan] == sorted(seed for _, seed in plan)
-    for variant in VARIANTS:
-        assert [seed for name, seed in plan if name == variant.name] == ([0] if variant.once else [0, 1, 2])
-
-
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
-    for name in ("default", "single", "ppo", "ppo-taught", "sac", "gru-0"):
-        script, *options = Run(BY_NAME[name], 0, 8_000_000, tmp_path).words
+    """With options of its script that are allowed."""
+    for variant in VARIANTS:
+        script, *options = Run(variant, 0, 8_000_000, tmp_path).words
         config = parse(ALGORITHMS[Path(script).stem], arguments=options)
-        assert config.length * config.hold == pytest.approx(8_000_000, rel=0.01), name
-    command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
+        config.check()
+        assert config.length * config.hold == pytest.approx(8_000_000, rel=0.01), variant.name
+    (memoryless,) = [variant for variant in VARIANTS if variant.name == "gru-0"]
+    command = Run(memoryless, 1, 96_000, tmp_path).command
     assert command == "python train/student.py --arms 2 --rounds 8 --gru-width 0 --validation-arms 32 --seed 1"
 
 

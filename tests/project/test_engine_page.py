@@ -1,10 +1,9 @@
 """The page on the engine: its Python runs, and the C that it shows is what comes out."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
+
+from commands import python
 
 from eval.exports.program import loop_of
 from eval.exports.source import sources
@@ -20,12 +19,8 @@ def blocks(language: str, page: str = PAGE) -> list[str]:
 
 def output_of(program: str, folder: Path) -> str:
     """What a program prints, from a file: kernels have to have a source text."""
-    (folder / "program.py").write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{program}", encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name != "BELTARM_ENGINE"}
-    command = [sys.executable, "program.py"]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    (folder / "program.py").write_text(program, encoding="utf-8")
+    return python("program.py", cwd=folder, path=(ROOT,), BELTARM_ENGINE="")
 
 
 def test_the_page_shows_what_the_translator_writes(tmp_path: Path):

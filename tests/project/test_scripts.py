@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from commands import mistake, stopped
+from trainings import SHORT
 from waiting import until
 
 from agents.learners import ppo
@@ -27,7 +28,7 @@ from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "--arms 8 --rollout-steps 8 --batch-size 32 --validation-every 128 --validation-arms 4".split()
+TINY = (*SHORT, "--validation-every", "128")
 
 
 def train_ppo() -> None:
@@ -142,9 +143,9 @@ def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def readme_examples() -> list[str]:
-    """As they are, but for the length of a training: one update tells as much as five."""
-    blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
-    return [re.sub(r"learn\(\d+_000\)", "learn(1)", block.split("```")[0]) for block in blocks]
+    """As they are, but for the size of a training: one update on fewer arms tells as much."""
+    text = re.sub(r"learn\(\d+_000\)", "learn(1)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    return [block.split("```")[0].replace("(512,", "(128,") for block in text.split("```python\n")[1:]]
 
 
 @pytest.mark.filterwarnings("default", "error::UserWarning:beltarm_env")

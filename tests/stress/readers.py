@@ -6,20 +6,19 @@ Half of what carries a hash gets a fitting one, as from a foreign program, so th
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
+from bundles import SPEC, new_weights
 from safetensors.numpy import save
 
 from agents import tensor_file
 from agents.learners.ppo import PpoConfig
-from agents.policy.actor import Actor
 from agents.policy.bundle import POLICY_FILE, read_bundle, save_bundle
-from agents.policy.description import BundleSpec
-from agents.residual.controller import ResidualSettings
 from agents.runs.checkpoint import RunFolder
 from agents.tensor_file import read_packed
 from baselines import gains
@@ -63,8 +62,7 @@ def _of_json(
 
 def _policy(folder: Path) -> Reader:
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
-    spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
+    save_bundle(folder, replace(SPEC, provenance=origin), new_weights())
     path = folder / POLICY_FILE
     data, (content, tensors) = path.read_bytes(), read_packed(path, "policy")
 

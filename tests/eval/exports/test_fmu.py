@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import mistake, stopped
-from driven_arms import UPPER_ENDS, drawn_arms, push
+from driven_arms import drawn_arms, push
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, state_derivative
@@ -29,7 +29,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 
 STATES = ("motor_angle", "motor_speed", "torsion", "torsion_speed")
 REFERENCES = {variable.name: variable.reference for variable in variables(ArmParams())}
-DRIVEN = [ArmParams(**arm) for arm in drawn_arms(4, seed=5)]
+DRIVEN = [ArmParams(**arm) for arm in drawn_arms(2, seed=5)]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_its_description_is_as_the_standard_has_it(path: Path):
     assert texts == fmu_texts(ArmParams(payload_mass=0.5)) and "0.5, /* payload_mass */" in texts["sources/fmu.c"]
 
 
-@pytest.mark.parametrize("params", [ArmParams(), ArmParams(belt_stiffness=3e4), ArmParams(**UPPER_ENDS), *DRIVEN])
+@pytest.mark.parametrize("params", [ArmParams(), ArmParams(belt_stiffness=3e4), *DRIVEN])
 def test_it_moves_as_the_environment_does(unpacked: tuple[Path, Any], params: ArmParams):
     env = BeltArmEnv(randomization="off")
     env.reset(seed=0, options={"params": asdict(params), "move": {"start": 0.5, "goal": 1.0}})
@@ -123,7 +123,7 @@ TICK = 2.0**-12
 """Length of which times are sums without rounding [s]; a period is no multiple of it."""
 
 
-@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN[:2]])
+@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
 def test_motion_does_not_depend_on_how_time_is_divided(unpacked: tuple[Path, Any], params: ArmParams):
     """Capability canHandleVariableCommunicationStepSize: the torque is held, so all ends are the same, to the bit."""
     ends, torque = [], 0.9 * params.torque_limit
@@ -141,7 +141,7 @@ def test_motion_does_not_depend_on_how_time_is_divided(unpacked: tuple[Path, Any
     assert ends[0][0][0] > 0 and all(end == ends[0] for end in ends) and ended == ends[0][2]
 
 
-@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN[:2]])
+@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
 def test_a_torque_is_sampled_where_periods_begin(unpacked: tuple[Path, Any], params: ArmParams):
     """A torque that is set within a period waits for the next; one that is gone by then does nothing."""
     simulation, period = ArmSimulation(replace(params, friction_drift=0.0)), CONTROL_PERIOD
@@ -173,7 +173,7 @@ def test_states_within_a_period_are_those_of_the_equations(unpacked: tuple[Path,
 def test_a_state_within_a_period_can_be_kept_and_reset(unpacked: tuple[Path, Any]):
     """Capabilities canGetAndSetFMUstate and canSerializeFMUstate, and two instances that do not know each other."""
     with running(unpacked) as slave, running(unpacked) as other:
-        slave.begin(DRIVEN[2])
+        slave.begin(DRIVEN[1])
         slave.step(0.0, 0.2, 0.0202)
         kept = slave.fmu.serializeFMUState(slave.fmu.getFMUState())
         seen = slave.read(*STATES)
@@ -204,11 +204,9 @@ def test_clang_compiles_the_sources_for_other_machines(tmp_path: Path):
 def test_a_build_that_rounds_differently_is_refused_and_one_that_fails_is_named(
     compiler: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    wrapper = tmp_path / "cc"
-    wrapper.write_text(f'#!/bin/sh\nexec {compiler[0]} "$@" -freciprocal-math -U__RECIPROCAL_MATH__\n')
-    wrapper.chmod(0o755)
+    rounding = Toolchain((*compiler, "-freciprocal-math", "-U__RECIPROCAL_MATH__"))
     broken = Toolchain((sys.executable, "-c", "raise SystemExit('no such target')"))
-    chains = [("linux64", ".so", Toolchain((str(wrapper),))), ("win64", ".dll", broken)]
+    chains = [("linux64", ".so", rounding), ("win64", ".dll", broken)]
     monkeypatch.setattr(fmu, "_toolchains", lambda: chains)
     content, made, failed = fmu.packed(ArmParams())
     assert made == ["linux64"] and list(failed) == ["win64"] and "no such target" in failed["win64"]
@@ -256,22 +254,22 @@ def test_calls_that_make_no_sense_are_refused(unpacked: tuple[Path, Any]):
         slave.step(0.002, 0.1, 0.001)
 
 
-@pytest.mark.parametrize(("stop", "interval"), [(0.3, CONTROL_PERIOD), (0.1234, 0.002), (0.5, None)])
-def test_a_master_that_knows_nothing_of_it(path: Path, stop: float, interval: float | None):
+def test_a_master_that_knows_nothing_of_it(path: Path):
     """Gets the same motion, may stop and look when it likes, and is stopped where the arm leaves its workspace."""
 
-    def simulated(torque: float, stop: float, interval: float | None) -> Any:
+    def simulated(torque: float, stop: float, interval: float | None = None) -> Any:
         start: dict[str, Any] = {"torque": torque, "initial_joint_angle": 0.5}
         options: dict[str, Any] = {"output_interval": interval, "output": STATES, "logger": lambda *_: None}
         return fmpy.simulate_fmu(str(path), stop_time=stop, start_values=start, **options)
 
-    result = simulated(0.06, stop, interval)
-    assert result["time"][-1] == pytest.approx(stop)
-    simulation, whole = ArmSimulation(ArmParams()), int(stop / CONTROL_PERIOD + 1e-6)
-    states, late = simulation.at_rest(np.array([0.5 * 88.0])), stop - whole * CONTROL_PERIOD
-    for _ in range(whole):
-        states = simulation.advance(states, np.array([0.06]))
-    expected = states[0, 0] + late * states[0, 1]
-    assert result["motor_angle"][-1] == pytest.approx(expected, rel=0, abs=0.01 if late > 1e-9 else 1e-9)
-    left = simulated(0.3, 1.8, None)
+    simulation = ArmSimulation(ArmParams())
+    for stop, interval in ((0.3, CONTROL_PERIOD), (0.1234, 0.002), (0.5, None)):
+        result, whole = simulated(0.06, stop, interval), int(stop / CONTROL_PERIOD + 1e-6)
+        assert result["time"][-1] == pytest.approx(stop)
+        states, late = simulation.at_rest(np.array([0.5 * 88.0])), stop - whole * CONTROL_PERIOD
+        for _ in range(whole):
+            states = simulation.advance(states, np.array([0.06]))
+        expected = states[0, 0] + late * states[0, 1]
+        assert result["motor_angle"][-1] == pytest.approx(expected, rel=0, abs=0.01 if late > 1e-9 else 1e-9)
+    left = simulated(0.3, 1.8)
     assert 0.05 < left["time"][-1] < 1.0 and left["motor_angle"][-1] / 88 > math.pi / 2 + 0.2
