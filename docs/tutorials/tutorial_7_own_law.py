@@ -45,8 +45,8 @@ for name, controller in {"paper": CONTROLLERS["paper"](), "mine": controller_of(
 #
 # .. code-block:: sh
 #
-#    .venv/bin/python eval/check_controller.py docs/examples/my_servo.py:MyServo
-#    make compare ARGS="--add docs/examples/my_servo.py:MyServo --methods flat --scenarios development --out results/my-servo"
+#    python eval/check_controller.py docs/examples/my_servo.py:MyServo
+#    python eval/compare.py --add docs/examples/my_servo.py:MyServo --methods flat --scenarios development --out results/mine
 #
 # Export it
 # ---------
