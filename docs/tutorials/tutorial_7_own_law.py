@@ -46,7 +46,8 @@ for name, controller in {"paper": CONTROLLERS["paper"](), "mine": controller_of(
 # .. code-block:: sh
 #
 #    python eval/check_controller.py docs/examples/my_servo.py:MyServo
-#    python eval/compare.py --add docs/examples/my_servo.py:MyServo --methods flat --scenarios development --out results/mine
+#    python eval/compare.py --add docs/examples/my_servo.py:MyServo --methods flat \
+#        --scenarios development --out results/mine
 #
 # Export it
 # ---------
