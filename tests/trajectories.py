@@ -3,8 +3,6 @@
 The bits of an arm's motion are the same on every machine. `--check` compares with those that are written down here.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from itertools import product

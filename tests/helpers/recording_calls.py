@@ -1,7 +1,5 @@
 """Calls of kernels, recorded with what they return and write, and made again in plain Python."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from collections import Counter

@@ -1,7 +1,5 @@
 """Kernels run as C beside the same functions in plain Python."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

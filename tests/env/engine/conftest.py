@@ -1,7 +1,5 @@
 """Entries of C, behind the glue that calls them."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from pathlib import Path

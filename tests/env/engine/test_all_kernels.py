@@ -1,7 +1,5 @@
 """All kernels that Python calls run as C, and give the bits of plain Python."""
 
-from __future__ import annotations
-
 import pickle
 from functools import partial
 from itertools import product

@@ -1,7 +1,5 @@
 """No kernel is run in an old form, whatever is edited, and what is not edited is not compiled again."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

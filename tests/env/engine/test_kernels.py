@@ -1,7 +1,5 @@
 """Kernels run as C what they say in Python, are never run in an old form, and run in plain Python where C cannot be."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Kernels with arrays, translated to C, read and write what they do in Python, to the last bit, within their memory."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

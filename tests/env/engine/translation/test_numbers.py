@@ -1,7 +1,5 @@
 """Kernels translated to C give what they give in Python, to the last bit: numbers, branches, loops and calls."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -342,7 +340,7 @@ def test_the_kernel_in_c_is_the_kernel_in_python(name: str):
 @pytest.mark.parametrize("function", ELEMENTARY, ids=lambda function: function.__name__)
 def test_an_elementary_function_in_python_and_compiled(function: Any):
     in_python = getattr(function, "py_func", function)
-    in_c = compiled(in_python)
+    in_c: Any = compiled(in_python)
 
     @examples(200)
     @given(st.tuples(*(st.floats(low, high) for low, high in ELEMENTARY[function])))

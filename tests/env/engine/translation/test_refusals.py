@@ -1,7 +1,5 @@
 """What cannot be translated to C is refused, by function, file, line and construct."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path
