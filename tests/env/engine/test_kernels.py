@@ -61,16 +61,6 @@ def total(row: Any) -> float:
 
 
 @kernel_of
-def mixed(words: Any, row: Any) -> Any:
-    result, whole = words[0], 1
-    for word in words:
-        result = ((result ^ word) * np.uint64(3)) >> np.uint64(1)
-    for value in row:
-        whole = whole * 3 - value
-    return result, words[0] < words[1], whole
-
-
-@kernel_of
 def smoothed(grid: Any, start: int) -> Found:
     count = len(grid)
     sums, rows = np.zeros(count), np.full((count, 2), 0.25)
@@ -81,14 +71,6 @@ def smoothed(grid: Any, start: int) -> Found:
         rows[k, 1] = sums[k]
         k += 1
     return Found(rows, Gains(total(sums), float(grid.shape[1])), k)
-
-
-@kernel_of
-def moved(row: Any, first: int, last: int) -> Any:
-    part = row[first:last]
-    part *= 2.0
-    row[last:] = 7.0
-    return len(part), len(row[first:-20]), row[:3].copy()
 
 
 @kernel_of
@@ -103,15 +85,12 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
-WORDS = np.array([5, 2**63 + 9, 2**64 - 1], np.uint64)
 ROW, GRID = np.linspace(-1.0, 2.5, 8) ** 3, np.arange(12.0).reshape(3, 4) / 7.0
 CALLS: list[tuple[Any, list[tuple[Any, ...]]]] = [
     (weighted, [(1.5,), (3,), (True, 0.1), (np.float64(2.5), np.int64(3)), (1.5, 0.1, Gains(1, 2.0, 3))]),
     (chosen, [(True, 5), (np.True_, np.int32(5), "other"), (False, 0, "sum", abs)]),
     (total, [(ROW,), (ROW[::3],), (ROW[::-1],), (ROW[:0],), (read_only(ROW.copy()),), (GRID[:, 1],), (GRID.T[2],)]),
-    (mixed, [(WORDS, np.array([3, -2, 7], name)) for name in ("int8", "int64", "bool")]),
     (smoothed, [(GRID, 1), (GRID.T, 0), (GRID[::2, ::-1], 3), (GRID[:0], 0), (read_only(GRID[:1].copy()), -1)]),
-    (moved, [(ROW, start, stop) for start, stop in ((2, 5), (-3, 99), (6, 2), (-99, 0), (20, 30))]),
     (added, [(ROW, ROW[::-1], 8), (ROW[:0], ROW[:0], 0), (GRID[0], GRID[:, 0][:3].repeat(4)[:4], 4)]),
 ]
 
