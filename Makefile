@@ -31,7 +31,7 @@ help:  ## Show this list
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-8s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
-compare: $(READY_COMPARE)  ## Compare all controllers, a first look of two minutes (with ARGS: as it says, without --quick): report.html in results/compare
+compare: $(READY_COMPARE)  ## Compare all controllers, a first look of two or three minutes (with ARGS: as it says, without --quick): report.html in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--quick)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
@@ -42,12 +42,14 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 setup: $(READY)  ## Create .venv with pinned versions, and compile kernels; HASHES=1 checks the SHA-256 of packages too
 
 $(READY_COMPARE): pyproject.toml $(CONSTRAINTS)
-	$(NEEDS_PYTHON)$(PYTHON) -m venv $(VENV)
+	$(NEEDS_PYTHON)@echo "Setting up $(VENV): a minute or two"
+	$(PYTHON) -m venv $(VENV)
 	$(if $(HASHES),$(PIP) --no-deps --require-hashes --requirement hashes.txt)
 	$(PIP) --constraint $(CONSTRAINTS) --editable '.[compare]'
 	@touch $@
 
 $(READY): $(READY_COMPARE)
+	@echo "Adding all other packages to $(VENV), and compiling kernels: two minutes"
 	$(PIP) --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
 	$(BIN)/python -m agents.compile_kernels
 	@touch $@

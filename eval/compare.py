@@ -3,7 +3,7 @@
 Runs the classical controllers, the shipped policies, and an oracle that knows its arm. Prints a table and a verdict,
 and writes report.html, results.json, episodes.csv, page.md and pictures. Results are kept in the folder and used again.
 
-With --quick it takes two minutes; with --scenario-seed there are as many scenarios as you ask for.
+With --quick it takes two or three minutes; with --scenario-seed there are as many scenarios as you ask for.
 """
 
 import os

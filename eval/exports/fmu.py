@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from importlib.util import find_spec
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +64,8 @@ class Options:
 
     out: Path
     """Folder to write beltarm.fmu into: a new or empty one, or one of an earlier export."""
+    native: bool = False
+    """Build for this kind of machine alone, in seconds; the first build for the others takes minutes."""
 
 
 def export(options: Options) -> None:
@@ -74,7 +77,7 @@ def export(options: Options) -> None:
     """
     require_free(options.out)
     params = ArmParams()
-    content, platforms, failed = packed(params)
+    content, platforms, failed = packed(params, options.native)
     write_export(options.out, "arm", "The arm of beltarm as an FMU", params, {"beltarm.fmu": content})
     print(f"written to {options.out}: beltarm.fmu, for {', '.join(platforms)}")
     for platform_name, reason in failed.items():
@@ -190,7 +193,7 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
     return platforms
 
 
-def packed(params: ArmParams) -> tuple[bytes, list[str], dict[str, str]]:
+def packed(params: ArmParams, native: bool = False) -> tuple[bytes, list[str], dict[str, str]]:
     """Compile an arm's FMU and pack it; return the platforms of its binaries too, and why others failed."""
     texts = fmu_texts(params)
     files = {name: text.encode() for name, text in texts.items()}
@@ -199,7 +202,7 @@ def packed(params: ArmParams) -> tuple[bytes, list[str], dict[str, str]]:
         for name, text in texts.items():
             (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
         sources = [Path(folder) / "fmu.c"]
-        for kind, suffix, toolchain in progress_over("platforms", _toolchains()):
+        for kind, suffix, toolchain in progress_over("platforms", islice(_toolchains(), 1 if native else None)):
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)
             try:
