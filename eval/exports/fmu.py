@@ -173,17 +173,10 @@ def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
 
 
 def write_fmu(path: Path, params: ArmParams) -> list[str]:
-    """Write an arm as an FMU.
+    """Write an arm as an FMU, whose parameters start with the arm's constants.
 
     Binaries are for this kind of machine, and for others where the package `ziglang` is installed. The FMU holds the
-    sources too.
-
-    Args:
-        path: The file, `.fmu`.
-        params: Start values of the FMU's parameters.
-
-    Returns:
-        Platforms of the binaries as FMI 2.0 names them: "linux64", "win64", ...
+    sources too. Returns the platforms of the binaries as FMI 2.0 names them: "linux64", "win64", ...
 
     Raises:
         ValueError: If there is no compiler, or it fails.

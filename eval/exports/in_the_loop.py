@@ -43,8 +43,7 @@ class InTheLoop:
     """An exported controller as a `Controller` that sees counts alone and, where a move begins, `holds_part`.
 
     Args:
-        folder: Folder with the sources.
-        name: Name of the controller.
+        folder: Folder with the sources of the controller `name`.
         moves: Moves of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4), or (moves, n, 4) of several.
         torque_limit: Torque limit of the arms [N m].
         toolchain: Compiler, and what runs its programs.

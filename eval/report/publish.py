@@ -5,9 +5,11 @@ beside the page show a motion on every split, and all intervals.
 """
 
 import base64
+import platform
 import re
 import shlex
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -238,8 +240,16 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         palette=COLOURS,
         period_us=PERIOD_US,
         command=without_paths(content["provenance"]["command"]),
+        processor=_processor(),
         **CONSTANTS,
     )
+
+
+def _processor() -> str:
+    """Name of this machine's processor, as far as its system tells."""
+    with suppress(OSError, IndexError):  # Linux names it there, but not on every processor
+        return re.findall(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    return platform.processor() or platform.machine()
 
 
 def without_paths(command: str) -> str:
