@@ -154,7 +154,7 @@ for name in ("paper", "zvd", "flat", "adaptive"):
 #
 # .. code-block:: sh
 #
-#    .venv/bin/python eval/check_controller.py mine.py:MyController
+#    python eval/check_controller.py mine.py:MyController
 #    make compare ARGS="--add mine.py:MyController --methods adaptive --scenarios development --out results/mine"
 #
 # ``docs/examples/my_controller.py`` is such a file.

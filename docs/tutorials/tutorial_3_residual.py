@@ -99,4 +99,4 @@ for axes in (error, torque):
 #
 #    make train     # PPO on `paper`, saved in runs/ppo
 #    make compare ARGS="--policy runs/ppo/best --scenarios development --out results/mine"
-#    .venv/bin/python train/student.py --seeds 5 --jobs 2     # a student on `adaptive`
+#    python train/student.py --seeds 5 --jobs 2     # a student on `adaptive`

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -148,11 +147,6 @@ class TestRecording:
         for move in ({"start": 0.0, "goal": SHORTEST}, {"start": WORKSPACE, "goal": WORKSPACE - SHORTEST}):
             run = rollout(still, 1, options={"move": move})
             assert run.finished and run.metrics()["not_arrived_share"] == 1
-
-    def test_one_line(self, recording: Recording):
-        for word in ("3 arms", "1200 samples", f"cost {np.median(recording.cost):.0f}", "mm"):
-            assert word in repr(recording)
-        assert "2 left" in repr(replace(recording, finished=np.array([True, False, False])))
 
     def test_one_of_the_arms(self, recording: Recording):
         last = recording.arm(2)

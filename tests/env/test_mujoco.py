@@ -25,7 +25,7 @@ mujoco: Any = pytest.importorskip("mujoco")
 
 from beltarm_env.mujoco import renderer  # noqa: E402
 from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
-from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
+from beltarm_env.mujoco.model import load_model, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
@@ -76,41 +76,6 @@ class TestModel:
             data.ctrl[0] = 5.0
             mujoco.mj_forward(data.model, data)
             assert data.qfrc_actuator[0] == pytest.approx(GEAR * limit)
-
-    def test_the_file_alone_is_the_nominal_arm(self):
-        file = mujoco.MjModel.from_xml_path(str(ROOT / "beltarm_env/mujoco/belt_arm.xml"))
-        loaded = load_model(ArmParams())
-        bodies = "body_mass body_inertia body_pos body_ipos geom_size geom_pos geom_quat geom_group site_pos"
-        joints = "dof_armature dof_damping dof_frictionloss dof_solref dof_solimp tendon_stiffness tendon_damping"
-        for field in f"{bodies} {joints} actuator_gear actuator_ctrlrange".split():
-            assert getattr(file, field) == pytest.approx(getattr(loaded, field), rel=1e-9, abs=1e-9), field
-        assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
-
-    def test_settings_out_of_range(self):
-        wrong: list[tuple[str, Any]] = [("timestep", math.nan), ("friction_rate", -1.0), ("friction_impedance", 1.0)]
-        for name, value in [*wrong, ("integrator", "rk5")]:
-            with pytest.raises(ValueError, match=rf"{name} .*got {value!r}"):
-                load_model(ArmParams(), **{name: value})
-
-    def test_hand_and_reference_are_where_the_tips_are(self):
-        params = ArmParams(link_length=0.3, hand_length=0.2)
-        data = mujoco.MjData(load_model(params))
-        write_state(data, params, np.array([0.8 * GEAR, 0.0, 0.05, 0.0]))
-        place_hand(data, params, 0.5)
-        assert data.site("tip").xpos[:2] == pytest.approx(tip(params, read_state(data, params)), abs=1e-12)
-        assert data.site("joint_3").xpos[:2] == pytest.approx(data.body("hand").xpos[:2], abs=1e-12)
-        assert data.body("reference").xpos == pytest.approx([0.6 * math.cos(0.5) + 0.2, 0, 0])
-
-    def test_a_warning_of_mujoco_leaves_no_file(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ):
-        monkeypatch.chdir(tmp_path)
-        data = mujoco.MjData(model := load_model(ArmParams()))
-        data.qvel[0] = np.nan
-        mujoco.mj_step(model, data)
-        assert list(tmp_path.iterdir()) == []
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("MuJoCo: ") and "QVEL" in line
 
 
 def distance_of_engines(params: dict[str, float]) -> float:

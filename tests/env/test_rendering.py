@@ -140,14 +140,6 @@ class TestWindow:
         renderer.close()
         assert not pygame.display.get_init()
 
-    def test_closing_the_window_does_not_stop_the_arm(self):
-        renderer = Renderer("human", 50)
-        pygame.event.post(pygame.event.Event(pygame.QUIT))
-        for time in (0.0, 0.1, 0.2):
-            assert renderer.draw(PARAMS, state(0.5), 0.5, time) is None
-        assert not pygame.display.get_init()
-        renderer.close()
-
 
 class TestThroughTheEnvironment:
     @pytest.mark.parametrize("mode", ["rgb_array", "human"])

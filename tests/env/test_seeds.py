@@ -1,6 +1,5 @@
 """Seeds: nobody draws another's arms; and the streams of random numbers that they begin."""
 
-import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 from properties import examples
 
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.sources import source_files
 from beltarm_env.task import seeds
 from beltarm_env.task.streams import checked_seed, draw, seeded, wrapping
 
@@ -50,20 +48,6 @@ def test_what_is_no_hash_or_seed_is_refused():
     for seed in (-1, 1.0, True, "3", None):
         with pytest.raises(ValueError, match=r"seed .*, got"):
             checked_seed(seed)
-
-
-def test_no_other_module_has_a_range_of_its_own():
-    """A seed of seven digits stands in one module; others name it. Numbers of samples, steps, budgets are no seeds."""
-    number = re.compile(r"\b[4-9]_?\d{3}_?\d{3}\b")
-    no_seed = re.compile(r"\b(samples|total_steps): int\b|--budget |_AT_ONCE\b")
-    lines = [
-        f"{path.name}: {line.strip()}"
-        for package in ("beltarm_env", "baselines", "agents", "train", "eval")
-        for path in source_files(ROOT / package)
-        for line in path.read_text(encoding="utf-8").splitlines()
-        if path.name != "seeds.py" and number.search(line) and not no_seed.search(line)
-    ]
-    assert lines == []
 
 
 class TestStreams:

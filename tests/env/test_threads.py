@@ -127,15 +127,6 @@ class TestPythonThreads:
         with pytest.raises(ValueError, match="of thread 1"):
             in_python_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
 
-    def test_a_thread_that_is_late_is_not_waited_for(self, monkeypatch: pytest.MonkeyPatch):
-        over, done = Event(), list[int]()
-        with ThreadPoolExecutor(1) as executor:
-            executor.submit(over.wait, 60)
-            monkeypatch.setattr(threads, "_executor", lambda _: executor)
-            in_python_threads(done.append, 2)
-            over.set()
-        assert done == [0], "its share is not begun later"
-
     def test_where_the_system_allows_no_thread_the_caller_does_all(self, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(threads, "_executor", lambda _: ThreadPoolExecutor(2))
         monkeypatch.setattr(Thread, "start", Mock(side_effect=RuntimeError("can't start new thread")))  # as Python says

@@ -32,13 +32,6 @@ class TestLoop:
         assert found[found.imag.argmax()] == pytest.approx(13 + 58j, abs=0.5)
         assert dominant_damping(found) < 0
 
-    @pytest.mark.parametrize(("m2", "gain"), [(0.07, 0.17), (0.01, 0.42)])
-    def test_best_k4(self, m2: float, gain: float):
-        found, damping = linear.best_gain(TABLE_2, m2)
-        assert found == pytest.approx(gain, abs=0.006)
-        around = linear.damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
-        assert (around < damping).all()
-
     def test_k4_locus_is_that_of_python_control(self):
         gains = np.array([0.0, 0.15, 0.5])
         a, (_, b, _) = linear.closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)

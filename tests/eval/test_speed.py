@@ -8,17 +8,7 @@ from commands import mistake, stopped
 
 from eval import bench
 from eval.speed import bench as study
-from eval.speed.stepping import speed, times_in_turns
 from eval.studies import _frame
-
-
-def test_runs_take_turns_and_ratios_are_of_each_repetition():
-    turns: list[str] = []
-    times = times_in_turns([lambda: turns.append("a"), lambda: turns.append("b")], 2)
-    assert turns == ["a", "b"] * 3, "the first turn does not count"
-    assert times.shape == (2, 2) and (times > 0).all()
-    row = speed("it", 10, np.array([2.0, 2.0, 2.0]), "peer", 10, np.array([1.0, 2.0, 3.0]))
-    assert (row.measured, row.of_peer, row.ratios) == (5.0, 5.0, (0.75, 1.0, 1.25))
 
 
 def test_a_first_try_shows_every_peer_that_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

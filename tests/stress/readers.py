@@ -21,14 +21,8 @@ from agents.learners.ppo import PpoConfig
 from agents.policy.bundle import POLICY_FILE, read_bundle, save_bundle
 from agents.runs.checkpoint import RunFolder
 from agents.tensor_file import read_packed
-from baselines import gains
-from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
-from beltarm_env.task.seeds import arms_chosen_by
-from eval.comparison import sets
 from eval.comparison.schema import read_results
-from eval.comparison.sets import TEST_NAME, make_set
-from eval.comparison.splits import digest_of, draw_arms, first_seed
 from tests.stress import damage
 
 _RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "comparison" / "results.json"
@@ -89,12 +83,6 @@ def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:
     return run, config
 
 
-def _options(folder: Path) -> Reader:
-    run, config = _run(folder)
-    content = json.loads(run.config.read_text())
-    return _of_json(partial(run.check, config), run.config, content)
-
-
 def _checkpoint(folder: Path) -> Reader:
     run, _ = _run(folder)
     data = run.checkpoint.read_bytes()
@@ -108,18 +96,6 @@ def _checkpoint(folder: Path) -> Reader:
     return Reader(lambda: run.load(lambda state: state["weights"].sum()), damaged)
 
 
-def _scenarios(folder: Path) -> Reader:
-    protocol = json.loads(sets.FILE.read_text())["protocol"]
-    first = first_seed("nominal", arms_chosen_by(protocol))
-    split = draw_arms("nominal", TEST_NAME, range(first, first + 3))
-    content, path = sets.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
-
-    def rehash(content: dict[str, Any]) -> None:
-        content["sha256"] = digest_of({key: value for key, value in content.items() if key != "sha256"})
-
-    return _of_json(lambda: sets.load(path).label, path, content, rehash)
-
-
 def _results(folder: Path) -> Reader:
     content, path = json.loads(_RESULTS.read_text()), folder / "results.json"
     for part in ("rows", "paired", "primary"):
@@ -127,12 +103,6 @@ def _results(folder: Path) -> Reader:
     return _of_json(partial(read_results, path), path, content)
 
 
-def _gains(folder: Path) -> Reader:
-    content, path = json.loads(gains.FILE.read_text()), folder / "gains.json"
-    content = {name: content[name] for name in ("zv", "zvd")}
-    return _of_json(partial(gains.tuned, "zv", TUNABLE["zv"].gains, path), path, content)
-
-
-_ALL = (_policy, _options, _checkpoint, _scenarios, _results, _gains)
+_ALL = (_policy, _checkpoint, _results)
 READERS: dict[str, Callable[[Path], Reader]] = {make.__name__[1:]: make for make in _ALL}
 """Makes sound files in an empty folder, and what reads them."""

@@ -27,7 +27,7 @@ from eval.exports.program import controller_of, loop_of, write_program
 from eval.exports.source import Loop
 from tests.eval.exports.conftest import CachingToolchain
 
-FAULTS = tuple("none stuck reversed lost late jump spike flipped ends anything noise dead".split())
+FAULTS = tuple("none stuck reversed late spike flipped ends anything".split())
 MOST, LEAST = 2**31 - 1, -(2**31)
 LATE = 4
 ARMS, LENGTH = 56, 1200
@@ -90,7 +90,7 @@ class FaultyEncoders:
     """Encoders of arms, each with a fault of its own from some sample on; `counts` are those of the first one."""
 
     def __init__(self, counts: Integers, rng: np.random.Generator) -> None:
-        self.faults = rng.choice(FAULTS, size=len(counts), p=[0.34, *np.full(len(FAULTS) - 1, 0.06)])
+        self.faults = rng.choice(FAULTS, size=len(counts), p=[0.3, *np.full(len(FAULTS) - 1, 0.1)])
         self._onset, self._rng, self._sample = rng.integers(0, LENGTH, size=len(counts)), rng, 0
         self._true, self._given = np.repeat(counts[None], LATE + 1, axis=0), counts
 
@@ -103,15 +103,11 @@ class FaultyEncoders:
         faulty = {
             "stuck": self._given,
             "reversed": self._given - (counts - self._true[1]),
-            "lost": np.where(rng.random(n) < 0.5, self._given, counts),
             "late": self._true[LATE],
-            "jump": counts + 700,
             "spike": np.where(rare, anything, counts),
             "flipped": np.where(rare, counts ^ (1 << rng.integers(0, 31, size=n)), counts),
             "ends": np.where(rng.random(n) < 0.5, MOST, LEAST),
             "anything": anything,
-            "noise": counts + rng.integers(-8, 8, size=n, endpoint=True),
-            "dead": np.zeros(n, np.intp),
         }
         wrong = np.select([self.faults == name for name in faulty], list(faulty.values()), counts)
         self._given = np.clip(np.where(self._sample >= self._onset, wrong, counts), LEAST, MOST)

@@ -1,10 +1,7 @@
 """The glue between Python and compiled kernels: what matches, and what comes back."""
 
-import gc
 import sys
-import weakref
 from typing import Any, NamedTuple
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -178,16 +175,6 @@ class TestResults:
             assert made.call(arrays[0], arrays[1], packed, model) is None
             made.call(arrays[0], arrays[1], packed, None)
         assert [sys.getrefcount(value) for value in objects] == before
-
-    def test_kernels_are_collected(self, glue: Any, at: Any):
-        missing, finish = Mock(), Mock()
-        missing.kernel = finish.kernel = made = glue.Kernel(missing)
-        made.add(at("nothing"), "k", (finish,), "0", finish)
-        finish.call = made.variant(0)
-        references = weakref.ref(missing), weakref.ref(finish)
-        del missing, finish, made
-        gc.collect()
-        assert [reference() for reference in references] == [None, None]
 
 
 def test_arrays_of_another_layout_are_not_known(glue: Any):

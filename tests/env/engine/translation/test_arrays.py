@@ -331,13 +331,6 @@ def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
     return mean(first), mean(second), kinds[0][1] // 2, kinds[1][1, 0], mean(work.left) + work.right[2, 1]
 
 
-@case((Workspace(TABLE[0], TABLE[1]), 1, 1.5))
-def names_of_tables(design: Any, k: int, x: float) -> float:
-    DESIGN_LEFT = 2.0 * x  # noqa: N806
-    TABLE = x  # noqa: N806
-    return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(name: str):
     CASES.check(name)

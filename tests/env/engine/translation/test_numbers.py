@@ -100,13 +100,6 @@ def choices(k: int, x: float) -> tuple[Any, ...]:
     return *numbers, many, not many, (k == 3) | (x == 0.0), (k == 3) & (x > 0.0), 1.0 if many else x, k if x else -k
 
 
-@case(*[(0.5,), (-3.0,)])
-def known_numbers(x: float) -> tuple[Any, ...]:
-    whole = 7
-    share = whole / 2 - 2**-1 + whole // 2 * 1e-3
-    return x * share, x + whole % 4, x - -1e-300, x * 1e300 * 10, whole, 0.1 + 0.2
-
-
 # Types of numbers
 
 
@@ -139,12 +132,6 @@ def unsigned_numbers(a: Any, n: int) -> tuple[Any, ...]:
     a[1] = (a[1] * np.uint64(5) + a[0]) & np.uint64(0xFFFF)
     a[0] -= np.uint64(n) << np.uint64(3)
     return a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
-
-
-@case((5, 12), (-9, 3))
-def bits_of_wholes(a: int, b: int) -> tuple[int, ...]:
-    pair = (a, b) + (a ^ b, a >> 1)  # noqa: RUF005
-    return *pair, b >> 2, (a ^ 7) & b, a >> (b & 3)
 
 
 @case(*itertools.product(FAR, (1, 2, -1, 3)))
