@@ -56,7 +56,7 @@ def compare(
 ) -> None:
     """Torques are equal and within the limit; behind the guard they change by no more than the slew limit."""
     settings = split.arguments(slice(ARMS))
-    seed, options = settings.pop("seed"), settings.pop("options")
+    seed, options = settings.pop("seed"), settings.pop("options", None)
     env = BeltArmVectorEnv(ARMS, **settings)
     seen, _ = env.reset(seed=seed, options=options)
     per_turn = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
