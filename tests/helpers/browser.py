@@ -26,8 +26,8 @@ addEventListener("load", async () => {
   parent.postMessage(JSON.stringify([answer, complaints, requests()]), "*");
 });
 </script>"""
-_FRAME = """<iframe src="asked.html" style="width: %dpx; height: 900px; border: 0"></iframe><pre id="told"></pre>
-<script>addEventListener("message", ({data}) => { document.getElementById("told").textContent = data; });</script>"""
+_FRAME = """<iframe src="asked.html" style="width: %dpx; height: 900px; border: 0"></iframe><pre id="answer"></pre>
+<script>addEventListener("message", ({data}) => { document.getElementById("answer").textContent = data; });</script>"""
 
 
 def asked(page: Path, script: str, folder: Path, width: int = 1400) -> Any:
@@ -44,7 +44,7 @@ def asked(page: Path, script: str, folder: Path, width: int = 1400) -> Any:
     frame.write_text(_FRAME % width, encoding="utf-8")  # a window has a least width, a frame has none
     command = [program, *_QUIET.split(), f"--user-data-dir={folder}", frame.as_uri()]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
-    (told,) = re.findall('<pre id="told">(.*?)</pre>', shown)
-    answer, complaints, requests = json.loads(html.unescape(told))
+    (text,) = re.findall('<pre id="answer">(.*?)</pre>', shown)
+    answer, complaints, requests = json.loads(html.unescape(text))
     assert complaints == [] and all(address.startswith("data:") for address in requests), (complaints, requests)
     return answer
