@@ -71,7 +71,7 @@ class TestResults:
         for number in ("1", "3"):
             monkeypatch.setenv("OMP_NUM_THREADS", number)
             controller = load_controller(POLICIES / "student" / "seed0")
-            states.append(rollout(controller, 30, seed=3, randomization="train").state.tobytes())
+            states.append(rollout(controller, 140, seed=3, randomization="train").state.tobytes())
         assert states[0] == states[1]
 
 
