@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar, Literal, cast
 
 import gymnasium as gym
@@ -16,7 +15,7 @@ from beltarm_env.arguments import Arguments
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import ArmBatch, new_renderer
-from beltarm_env.engine import prepared
+from beltarm_env.engine import bound
 from beltarm_env.info import MOVE_TOTALS
 from beltarm_env.kernels.layout import Driven, for_lanes
 from beltarm_env.kernels.step import step_arm
@@ -237,24 +236,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
         result = _empty(self._size, _SINGLE)
-        reward, terminated, truncated, told = step_arm(fraction, result)
-        error, position, velocity, torque_rate, cost, of_position, of_velocity, of_torque_rate, steps, rms, largest = (
-            told
-        )
-        info: dict[str, Any] = {  # with totals in every step, because a wrapper may end the episode; quicker than zip
-            "tip_error": error,
-            "cost_position": position,
-            "cost_velocity": velocity,
-            "cost_torque_rate": torque_rate,
-            "total_cost": cost,
-            "total_cost_position": of_position,
-            "total_cost_velocity": of_velocity,
-            "total_cost_torque_rate": of_torque_rate,
-            "episode_steps": steps,
-            "tip_error_rms": rms,
-            "tip_error_max": largest,
-        }
-        if steps == self._move_ends:
+        reward, terminated, truncated, info = step_arm(fraction, result)
+        if info["episode_steps"] == self._move_ends:
             info |= self._end_move(result, terminated or truncated)
         if terminated or truncated:
             self._running, self._step_arm = False, None
@@ -283,12 +266,11 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         return self._step_arm
 
     def _step_for(self, driven: Driven) -> Callable[..., Any]:
-        """Prepare the kernel: what is the same in all steps is given once."""
+        """Return the kernel behind what is the same in all steps."""
         batch = self._batch
         settings = batch.profile, batch.tier, batch.model, driven, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
-        of_arm = prepared(for_lanes(step_arm, batch.lanes), *same, 0.0, np.empty(self._size, np.float32))
-        observed = partial(of_arm, *same)
+        observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, np.empty(self._size, np.float32))
 
         def moved_by_engine(fraction: float, result: Singles) -> Any:
             batch.advance_in_engine(np.array([fraction]))

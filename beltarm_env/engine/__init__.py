@@ -6,6 +6,6 @@ calls. The C of both comes from the same Python (`translation`), is what `eval/e
 the bits of plain Python: sums and products are rounded one by one, in their order.
 """
 
-from beltarm_env.engine.kernels import ENGINE, PLAIN, compiled, in_threads, inlined, prepared, with_constants
+from beltarm_env.engine.kernels import ENGINE, PLAIN, bound, compiled, in_threads, inlined, with_constants
 
-__all__ = ["ENGINE", "PLAIN", "compiled", "in_threads", "inlined", "prepared", "with_constants"]
+__all__ = ["ENGINE", "PLAIN", "bound", "compiled", "in_threads", "inlined", "with_constants"]

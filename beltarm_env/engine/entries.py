@@ -198,11 +198,20 @@ class _Given:
         make = make_of(value)
         if not isinstance(value, Group | Record | Const):
             raise TranslationError("a kernel that Python calls returns numbers, arrays and tuples of these")
+        if make is dict and isinstance(value, Group | Record):
+            return self._dict(value)
         self.code += "("
         parts = [self.give(part) for part in parts_of(value)]
         self.code += ")"
         parts = parts if any(parts) else []  # numbers alone need nothing
         return ("tuple", make, parts) if make is not None or parts else None
+
+    def _dict(self, value: Group | Record) -> None:
+        fields = value.fields if isinstance(value, Group) else value.type.fields
+        self.code += f"{{{','.join(name for name, _ in fields)}:"
+        if any(self.give(part) is not None or self.code[-1] not in "dnbL" for part in parts_of(value)):
+            raise TranslationError("a dict that a kernel returns has numbers alone")
+        self.code += "}"
 
     def _number(self, number: Scalar) -> None:
         number = scalar(number)

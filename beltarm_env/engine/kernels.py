@@ -17,7 +17,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from threading import RLock
 from types import FunctionType
 from typing import Any, ParamSpec, TypeVar, cast
@@ -49,9 +49,15 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return function if PLAIN else cast("Callable[_P, _R]", Kernel(function))
 
 
-def prepared(kernel: Callable[..., _R], *arguments: Any) -> Callable[..., _R]:
-    """Return what runs a kernel for arguments of the types that these have, and of no others, in the least time."""
-    return kernel.prepared(arguments) if isinstance(kernel, Kernel) else kernel
+def bound(kernel: Callable[..., _R], first: tuple[Any, ...], *others: Any) -> Callable[..., _R]:
+    """Return what runs a kernel behind its first arguments in the least time, as `functools.partial` would.
+
+    Args:
+        kernel: So short that other threads of Python may wait for it.
+        first: Arguments, which are looked at now: their arrays must not be resized.
+        *others: Of the types that all further ones will have.
+    """
+    return kernel.bound(first, others) if isinstance(kernel, Kernel) else partial(kernel, *first)
 
 
 @cache
@@ -116,10 +122,10 @@ class Kernel:
         """Name what a copy is: the function of that name in its module."""
         return self.py_func.__qualname__
 
-    def prepared(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
-        """Return what runs it for arguments of the types that these have."""
-        variant = self._variant(arguments)
-        return self.py_func if variant is None else self._compiled.variant(variant)
+    def bound(self, first: tuple[Any, ...], others: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return what runs it behind its first arguments, see `bound`."""
+        variant = self._variant((*first, *others))
+        return partial(self.py_func, *first) if variant is None else self._compiled.bind(variant, first)
 
     def share(self, threads: int, arguments: tuple[Any, ...]) -> None:
         """Run it in several threads, see `in_threads`."""
@@ -205,7 +211,7 @@ class Kernel:
             arguments = self._ordered(arguments, {})
         usual = tuple(map(_usual, arguments))
         variant = self._variant(usual)
-        return self._in_python(*arguments) if variant is None else self._compiled.variant(variant)(*usual)
+        return self._in_python(*arguments) if variant is None else self._compiled.bind(variant, ())(*usual)
 
 
 @cache

@@ -240,7 +240,7 @@ def step_arm(
     integrate: bool,
     action: float,
     observation: Singles,
-) -> tuple[float, bool, bool, tuple[float, ...]]:
+) -> tuple[float, bool, bool, dict[str, float]]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
     Args:
@@ -256,17 +256,24 @@ def step_arm(
         observation: Written in place, shape (size,).
 
     Returns:
-        Reward, terminated, truncated; and in a tuple the tip error [m], the three cost terms, and the episode's totals
-        until now, in the order of `episode_totals`.
+        Reward, terminated, truncated, and what the environment tells in its `info`. Totals are among it in every step,
+        because a wrapper may end the episode.
     """
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
     _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
     terminated = bool(scratch[TERMINATED * LANES] != 0.0)
-    terms = (
-        float(scratch[TERMS * LANES]),
-        float(scratch[(TERMS + 1) * LANES]),
-        float(scratch[(TERMS + 2) * LANES]),
-        float(scratch[(TERMS + 3) * LANES]),
-    )
-    told = terms + totals_so_far(blocks[0], 0, terminated)
-    return float(scratch[REWARD * LANES]), terminated, bool(scratch[TRUNCATED * LANES] != 0.0), told
+    total, position, velocity, torque_rate, steps, rms, largest = totals_so_far(blocks[0], 0, terminated)
+    info = {
+        "tip_error": float(scratch[TERMS * LANES]),
+        "cost_position": float(scratch[(TERMS + 1) * LANES]),
+        "cost_velocity": float(scratch[(TERMS + 2) * LANES]),
+        "cost_torque_rate": float(scratch[(TERMS + 3) * LANES]),
+        "total_cost": total,
+        "total_cost_position": position,
+        "total_cost_velocity": velocity,
+        "total_cost_torque_rate": torque_rate,
+        "episode_steps": steps,
+        "tip_error_rms": rms,
+        "tip_error_max": largest,
+    }
+    return float(scratch[REWARD * LANES]), terminated, bool(scratch[TRUNCATED * LANES] != 0.0), info

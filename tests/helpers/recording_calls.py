@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -106,10 +107,15 @@ class Calls:
 
 @contextmanager
 def recorded_calls() -> Iterator[Calls]:
-    calls, call, prepared = Calls(), Kernel.__call__, Kernel.prepared
+    calls, call, bound = Calls(), Kernel.__call__, Kernel.bound
+
+    def recorded_too(kernel: Kernel, first: tuple[Any, ...], others: tuple[Any, ...]) -> Callable[..., Any]:
+        run = bound(kernel, first, others)
+        return partial(calls.recorded(kernel, lambda *arguments: run(*arguments[len(first) :])), *first)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Kernel, "__call__", lambda self, *a, **n: calls.recorded(self, call.__get__(self))(*a, **n))
-        patch.setattr(Kernel, "prepared", lambda self, given: calls.recorded(self, prepared(self, given)))
+        patch.setattr(Kernel, "bound", recorded_too)
         yield calls
 
 

@@ -106,21 +106,22 @@ static bool is_whole(PyTypeObject *type)
     return (PyType_GetFlags(type) & Py_TPFLAGS_LONG_SUBCLASS) != 0 && type != &PyBool_Type;
 }
 
+/* What a node is about; `arguments` are those behind the bound ones. */
 static PyObject *object_of(const Call *c, const Node *node, PyObject *const *arguments)
 {
-    return node->parent < 0 ? arguments[node->index] : PyTuple_GetItem(c->tuples[node->parent], node->index);
+    return node->parent < 0 ? arguments[node->index - c->bound] : PyTuple_GetItem(c->tuples[node->parent], node->index);
 }
 
-/* Unpack arguments. Returns the index of the node that does not fit, the number of nodes if it is the number of
- * arguments, or DONE. */
+/* Unpack further arguments. Returns the index of the node that does not fit, or DONE. */
 static Py_ssize_t unpack(const Variant *v, Call *c, PyObject *const *arguments, Py_ssize_t count)
 {
-    double *r = c->r;
-    int64_t *n = c->n;
-    void **p = c->p;
-    if (count != v->arguments) return v->count;
-    for (Py_ssize_t i = 0; i < v->count; ++i) {
+    double *r = c->r + c->reals;
+    int64_t *n = c->n + c->wholes;
+    void **p = c->p + c->arrays;
+    Py_ssize_t i = c->nodes;
+    for (; i < v->count; ++i) {
         const Node *node = &v->nodes[i];
+        if (node->parent < 0 && node->index == c->bound + count) break;
         PyObject *o = object_of(c, node, arguments);
         bool fit = true;
         switch (node->kind) {
@@ -148,6 +149,10 @@ static Py_ssize_t unpack(const Variant *v, Call *c, PyObject *const *arguments, 
         }
         if (!fit) return i;
     }
+    c->nodes = i;
+    c->reals = r - c->r;
+    c->wholes = n - c->n;
+    c->arrays = p - c->p;
     return DONE;
 }
 
@@ -201,12 +206,12 @@ static PyObject *given(const Node *node, PyObject *object)
     return text;
 }
 
-/* Say which argument does not fit, by what `unpack` has returned. Returns NULL. */
+/* Say which argument does not fit: that of a node, or of no node if their number is wrong. Returns NULL. */
 static PyObject *refuse(const Variant *v, const Call *c, Py_ssize_t failed, PyObject *const *arguments,
                         Py_ssize_t count)
 {
     if (failed == v->count) {
-        return PyErr_Format(PyExc_TypeError, "%zd arguments are expected, not %zd", v->arguments, count);
+        return PyErr_Format(PyExc_TypeError, "%zd arguments are expected, not %zd", v->arguments, c->bound + count);
     }
     const Node *node = &v->nodes[failed], *outer = node;
     PyObject *place = PyUnicode_FromString(""), *want = expected(node);

@@ -13,7 +13,7 @@ typedef struct {
     Py_ssize_t last; /* the variant that was called last */
 } Kernel;
 
-enum { ON_STACK = 12288, SHARED_ON_STACK = 2048, MAX_SHARES = 4096 };
+enum { ON_STACK = 12288, SHARED_ON_STACK = 2048, MAX_SHARES = 4096, MAX_BOUND = 64 };
 
 typedef struct {
     const Variant *v;
@@ -42,7 +42,8 @@ static const char *run_shared(const Variant *v, const Call *c, int threads, int 
     return text;
 }
 
-/* Run a variant whose arguments are unpacked, in several threads if `threads` is not 0. */
+/* Run a variant whose arguments are unpacked, in several threads if `threads` is not 0. A call with bound arguments is
+ * so short that it keeps Python's lock. */
 static PyObject *run(const Variant *v, Call *c, int threads)
 {
     int64_t small[SHARED_ON_STACK / sizeof(int64_t)];
@@ -58,35 +59,45 @@ static PyObject *run(const Variant *v, Call *c, int threads)
         return PyErr_NoMemory();
     }
     int helped = threads > 1 ? ready_helpers(threads) : 0;
-    PyThreadState *state = PyEval_SaveThread();
+    PyThreadState *state = c->bound > 0 ? NULL : PyEval_SaveThread();
     text = threads > 0 ? run_shared(v, c, threads, helped, room) : v->entry(c->p, c->r, c->n, c->out);
-    PyEval_RestoreThread(state);
+    if (state) PyEval_RestoreThread(state);
     release_arrays(c);
     if (room != small) PyMem_Free(room);
     if (text) return PyErr_Format(PyExc_ValueError, "%s", text);
     return result_of(v, c->out);
 }
 
-/* Call a variant if it takes the arguments. Returns whether it does; then there is a result or an error.
- * If there is no other variant to be tried, there is an error in any case. */
-static bool attempt(const Variant *v, PyObject *const *arguments, Py_ssize_t count, int threads, bool only,
-                    PyObject **result)
+/* Lay out the memory of a call. */
+static void lay_out(const Variant *v, Call *c, void *room)
+{
+    c->r = room;
+    c->n = (int64_t *)(c->r + v->reals);
+    c->out = (Slot *)(c->n + v->wholes);
+    c->buffers = (Py_buffer *)(c->out + v->slots);
+    c->p = (void **)(c->buffers + v->arrays);
+    c->tuples = (PyObject **)(c->p + v->arrays);
+}
+
+/* Call a variant if it takes the arguments, behind bound ones if there are some. Returns whether it does; then there is
+ * a result or an error. If there is no other variant to be tried, there is an error in any case. */
+static bool attempt(const Variant *v, const Call *bound, PyObject *const *arguments, Py_ssize_t count, int threads,
+                    bool only, PyObject **result)
 {
     double small[ON_STACK / sizeof(double)]; /* small calls need no other memory */
     char *room = v->room <= sizeof small ? (char *)small : PyMem_Malloc(v->room);
     Call c = {0};
-    Py_ssize_t failed;
     if (room == NULL) {
         *result = PyErr_NoMemory();
         return true;
     }
-    c.r = (double *)room;
-    c.n = (int64_t *)(c.r + v->reals);
-    c.out = (Slot *)(c.n + v->wholes);
-    c.buffers = (Py_buffer *)(c.out + v->slots);
-    c.p = (void **)(c.buffers + v->arrays);
-    c.tuples = (PyObject **)(c.p + v->arrays);
-    failed = unpack(v, &c, arguments, count);
+    if (bound) {
+        c = *bound;
+        c.held = 0; /* what is held of bound arguments is held on */
+        memcpy(room, bound->r, v->room);
+    }
+    lay_out(v, &c, room);
+    Py_ssize_t failed = c.bound + count == v->arguments ? unpack(v, &c, arguments, count) : v->count;
     if (failed == DONE) *result = run(v, &c, threads);
     else release_arrays(&c);
     if (failed != DONE && only) *result = refuse(v, &c, failed, arguments, count);
@@ -109,7 +120,7 @@ static PyObject *dispatch(Kernel *k, PyObject *const *arguments, Py_ssize_t coun
         Py_ssize_t i = turn == 0 ? last : turn <= last ? turn - 1 : turn;
         const Variant *v = (Variant *)PyList_GetItem(k->variants, i);
         if (threads > 0 && (v->nodes[0].kind != 'n' || strcmp(v->returns, "0") != 0)) continue;
-        if (attempt(v, arguments, count, threads, false, &result)) {
+        if (attempt(v, NULL, arguments, count, threads, false, &result)) {
             k->last = i;
             return result;
         }
@@ -144,17 +155,21 @@ static PyObject *kernel_share(PyObject *self, PyObject *const *arguments, Py_ssi
     return dispatch((Kernel *)self, arguments, count, (int)threads);
 }
 
-static PyObject *variant_call(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+static PyObject *bound_call(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
+    const Bound *b = (const Bound *)self;
     PyObject *result = NULL;
-    attempt((const Variant *)self, arguments, count, 0, true, &result);
+    attempt((const Variant *)b->variant, &b->c, arguments, count, 0, true, &result);
     return result;
 }
 
 /* ---- Types ---- */
 
-/* The type of variants */
-static PyTypeObject *variant_type(PyObject *self) { return *(PyTypeObject **)PyType_GetModuleState(Py_TYPE(self)); }
+typedef struct {
+    PyTypeObject *variant, *bound;
+} Types;
+
+static const Types *types_of(PyObject *kernel) { return PyType_GetModuleState(Py_TYPE(kernel)); }
 
 static PyObject *new_object(PyTypeObject *type) { return ((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0); }
 
@@ -204,8 +219,25 @@ static void variant_delete(PyObject *self)
     PyObject_GC_UnTrack(self);
     drop(&v->constants);
     drop(&v->finish);
+    drop(&v->dict);
     PyMem_Free(v->nodes);
     PyMem_Free(v->returns);
+    delete_object(self);
+}
+
+static int bound_traverse(PyObject *self, visitproc visit, void *with)
+{
+    return visit_both(self, ((Bound *)self)->variant, ((Bound *)self)->arguments, visit, with);
+}
+
+static void bound_delete(PyObject *self)
+{
+    Bound *b = (Bound *)self;
+    PyObject_GC_UnTrack(self);
+    release_arrays(&b->c);
+    PyMem_Free(b->c.r);
+    drop(&b->arguments);
+    drop(&b->variant);
     delete_object(self);
 }
 
@@ -238,7 +270,7 @@ static PyObject *kernel_add(PyObject *self, PyObject *arguments)
         return NULL;
     }
     if (address == 0) return PyErr_Format(PyExc_ValueError, "an entry has no address");
-    Variant *v = (Variant *)new_object(variant_type(self));
+    Variant *v = (Variant *)new_object(types_of(self)->variant);
     if (v == NULL) return NULL;
     v->entry = (Entry)(uintptr_t)address;
     Py_IncRef(constants);
@@ -252,19 +284,39 @@ static PyObject *kernel_add(PyObject *self, PyObject *arguments)
     return added ? nothing() : NULL;
 }
 
-static PyObject *kernel_variant(PyObject *self, PyObject *number)
+static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
 {
-    static PyMethodDef call = {"variant", (PyCFunction)(void (*)(void))variant_call, METH_FASTCALL, NULL};
-    Py_ssize_t i = PyLong_AsSsize_t(number);
-    PyObject *v = i == -1 && PyErr_Occurred() ? NULL : PyList_GetItem(((Kernel *)self)->variants, i);
-    return v ? PyCFunction_NewEx(&call, v, NULL) : NULL;
+    static PyMethodDef call = {"bound", (PyCFunction)(void (*)(void))bound_call, METH_FASTCALL, NULL};
+    PyObject *objects[MAX_BOUND], *arguments, *function = NULL;
+    Py_ssize_t i, failed;
+    if (!PyArg_ParseTuple(numbered, "nO!:bind", &i, &PyTuple_Type, &arguments)) return NULL;
+    PyObject *variant = PyList_GetItem(((Kernel *)self)->variants, i);
+    Bound *b = variant ? (Bound *)new_object(types_of(self)->bound) : NULL;
+    if (b == NULL) return NULL;
+    const Variant *v = (const Variant *)variant;
+    Py_IncRef(b->variant = variant);
+    Py_IncRef(b->arguments = arguments);
+    Py_ssize_t count = PyTuple_Size(arguments);
+    void *room = PyMem_Calloc(1, v->room);
+    if (room == NULL) {
+        PyErr_NoMemory();
+    } else if (lay_out(v, &b->c, room), count > v->arguments || count > MAX_BOUND) {
+        PyErr_Format(PyExc_TypeError, "%zd arguments cannot be bound", count);
+    } else {
+        for (Py_ssize_t k = 0; k < count; ++k) objects[k] = PyTuple_GetItem(arguments, k);
+        failed = unpack(v, &b->c, objects, count);
+        if (failed != DONE) refuse(v, &b->c, failed, objects, count);
+        else b->c.bound = count, function = PyCFunction_NewEx(&call, (PyObject *)b, NULL);
+    }
+    Py_DecRef((PyObject *)b);
+    return function;
 }
 
 static PyMethodDef kernel_methods[] = {
     {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these"},
     {"call", (PyCFunction)(void (*)(void))kernel_call, METH_FASTCALL, "Call the variant that takes the arguments"},
     {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads; their number comes first"},
-    {"variant", kernel_variant, METH_O, "Return a function that calls one variant only"},
+    {"bind", kernel_bind, METH_VARARGS, "Return what calls one variant, of a number, behind a tuple of arguments"},
     {NULL, NULL, 0, NULL},
 };
 static PySlot kernel_slots[] = {
@@ -272,9 +324,12 @@ static PySlot kernel_slots[] = {
     {Py_tp_clear, kernel_clear},       {Py_tp_methods, kernel_methods},  {0, NULL},
 };
 static PySlot variant_slots[] = {{Py_tp_dealloc, variant_delete}, {Py_tp_traverse, variant_traverse}, {0, NULL}};
+static PySlot bound_slots[] = {{Py_tp_dealloc, bound_delete}, {Py_tp_traverse, bound_traverse}, {0, NULL}};
 static PyType_Spec kernel_spec = {"_glue.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_HAVE_GC, kernel_slots};
 static PyType_Spec variant_spec = {"_glue.Variant", sizeof(Variant), 0,
                                    Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_DISALLOW_INSTANTIATION, variant_slots};
+static PyType_Spec bound_spec = {"_glue.Bound", sizeof(Bound), 0,
+                                 Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_DISALLOW_INSTANTIATION, bound_slots};
 
 /* ---- Module ---- */
 
@@ -287,9 +342,10 @@ static PyObject *module_level(PyObject *self, PyObject *unused)
 static int set_up_module(PyObject *module)
 {
     PyObject *kernel = PyType_FromModuleAndSpec(module, &kernel_spec, NULL);
-    PyObject *variant = PyType_FromModuleAndSpec(module, &variant_spec, NULL);
-    if (kernel == NULL || variant == NULL) return -1;
-    *(PyObject **)PyModule_GetState(module) = variant;
+    Types *types = PyModule_GetState(module);
+    types->variant = (PyTypeObject *)PyType_FromModuleAndSpec(module, &variant_spec, NULL);
+    types->bound = (PyTypeObject *)PyType_FromModuleAndSpec(module, &bound_spec, NULL);
+    if (kernel == NULL || types->variant == NULL || types->bound == NULL) return -1;
     return PyModule_AddType(module, (PyTypeObject *)kernel);
 }
 
@@ -323,7 +379,7 @@ static PyMethodDef functions[] = {
 };
 static PySlot module_slots[] = {{Py_mod_exec, set_up_module}, {0, NULL}};
 static PyModuleDef definition = {
-    .ob_base = {1, NULL}, .m_name = "_glue", .m_doc = "Calls of compiled kernels", .m_size = sizeof(PyObject *),
+    .ob_base = {1, NULL}, .m_name = "_glue", .m_doc = "Calls of compiled kernels", .m_size = sizeof(Types),
     .m_methods = functions, .m_slots = module_slots,
 };
 

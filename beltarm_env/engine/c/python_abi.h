@@ -104,6 +104,12 @@ PY_IMPORT PyObject *PyTuple_New(Py_ssize_t), *PyTuple_GetItem(PyObject *, Py_ssi
 PY_IMPORT Py_ssize_t PyTuple_Size(PyObject *), PyList_Size(PyObject *);
 PY_IMPORT int PyTuple_SetItem(PyObject *, Py_ssize_t, PyObject *), PyList_Append(PyObject *, PyObject *);
 PY_IMPORT PyObject *PyList_New(Py_ssize_t), *PyList_GetItem(PyObject *, Py_ssize_t);
+PY_IMPORT PyObject *PyDict_New(void), *PyDict_Copy(PyObject *);
+PY_IMPORT Py_ssize_t PyDict_Size(PyObject *);
+PY_IMPORT int PyDict_SetItem(PyObject *, PyObject *, PyObject *);
+PY_IMPORT int PyDict_Next(PyObject *, Py_ssize_t *, PyObject **, PyObject **);
+PY_IMPORT PyObject *PyUnicode_FromStringAndSize(const char *, Py_ssize_t);
+PY_IMPORT void PyUnicode_InternInPlace(PyObject **);
 PY_IMPORT PyObject *PyUnicode_FromString(const char *), *PyUnicode_FromFormat(const char *, ...);
 PY_IMPORT int PyObject_CheckBuffer(PyObject *), PyObject_GetBuffer(PyObject *, Py_buffer *, int);
 PY_IMPORT void PyBuffer_Release(Py_buffer *);

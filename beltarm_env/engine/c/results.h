@@ -5,6 +5,18 @@
 #include "variant.h"
 
 static const char *behind(const char *s) { return *s == 'A' ? s + 3 : s + 1; }
+static bool opens(char s) { return s == '(' || s == '{'; }
+static bool closes(char s) { return s == ')' || s == '}'; }
+
+static PyObject *new_number(char type, const Slot *slot)
+{
+    switch (type) {
+    case 'd': return PyFloat_FromDouble(slot->d);
+    case 'n': return PyLong_FromLongLong(slot->n);
+    case 'b': return PyBool_FromLong(slot->n != 0);
+    default: return PyLong_FromUnsignedLongLong((uint64_t)slot->n);
+    }
+}
 
 static PyObject *new_array(const char *s, const Slot *out)
 {
@@ -29,8 +41,25 @@ static PyObject *new_array(const char *s, const Slot *out)
     return NULL;
 }
 
+/* A copy of the dict with the keys alone is filled: it has its size already. */
+static PyObject *new_dict(PyObject *keys, const char **s, const Slot **out)
+{
+    PyObject *dict = PyDict_Copy(keys), *key, *value;
+    Py_ssize_t at = 0;
+    while (dict && PyDict_Next(keys, &at, &key, NULL)) {
+        value = new_number(*(*s)++, (*out)++);
+        if (value == NULL || PyDict_SetItem(dict, key, value) != 0) {
+            Py_DecRef(dict);
+            dict = NULL;
+        }
+        if (value) Py_DecRef(value);
+    }
+    ++*s;
+    return dict;
+}
+
 /* Make Python's object of a result, and go on to what is behind it. */
-static PyObject *make(const char **s, const Slot **out)
+static PyObject *make(const Variant *v, const char **s, const Slot **out)
 {
     const char *at = *s;
     const Slot *slot = *out;
@@ -39,13 +68,13 @@ static PyObject *make(const char **s, const Slot **out)
         Py_ssize_t entries = 0;
         int depth = 0;
         for (const char *next = *s; depth > 0 || *next != ')'; next = behind(next)) {
-            if (*next == ')') --depth;
+            if (closes(*next)) --depth;
             else if (depth == 0) ++entries;
-            if (*next == '(') ++depth;
+            if (opens(*next)) ++depth;
         }
         PyObject *tuple = PyTuple_New(entries);
         for (Py_ssize_t k = 0; tuple && k < entries; ++k) {
-            PyObject *entry = make(s, out);
+            PyObject *entry = make(v, s, out);
             if (entry == NULL || PyTuple_SetItem(tuple, k, entry) != 0) {
                 Py_DecRef(tuple);
                 return NULL;
@@ -58,24 +87,19 @@ static PyObject *make(const char **s, const Slot **out)
         Py_IncRef(Py_None);
         return Py_None;
     }
+    if (*at == '{') return new_dict(v->dict, s, out);
     *out += *at == 'A' ? 1 + (at[2] - '0') : 1;
-    switch (*at) {
-    case 'd': return PyFloat_FromDouble(slot->d);
-    case 'n': return PyLong_FromLongLong(slot->n);
-    case 'b': return PyBool_FromLong(slot->n != 0);
-    case 'L': return PyLong_FromUnsignedLongLong((uint64_t)slot->n);
-    default: return new_array(at, slot);
-    }
+    return *at == 'A' ? new_array(at, slot) : new_number(*at, slot);
 }
 
 static PyObject *result_of(const Variant *v, const Slot *out)
 {
     const char *s = v->returns;
     const Slot *next = out;
-    PyObject *result = make(&s, &next);
-    for (s = v->returns, next = out; *s; s = behind(s)) { /* results that are arrays are the kernel's memory */
+    PyObject *result = make(v, &s, &next);
+    for (s = v->returns, next = out; v->allocates && *s; s = behind(s)) { /* results that are arrays are the kernel's memory */
         if (*s == 'A') free(next->p);
-        next += *s == 'A' ? 1 + (s[2] - '0') : *s == '(' || *s == ')' || *s == '0' ? 0 : 1;
+        next += *s == 'A' ? 1 + (s[2] - '0') : opens(*s) || closes(*s) || *s == '0' ? 0 : 1;
     }
     if (result == NULL || v->finish == NULL) return result;
     PyObject *finished = PyObject_CallFunctionObjArgs(v->finish, result, NULL);

@@ -3,8 +3,8 @@
  * One character stands for each thing: d a float, n a whole number, b a bool, 0 None, k the next constant, (...) a
  * tuple whose type is the next constant, a an array, followed by the type of its entries (float64 d, float32 f, int64
  * l, uint64 L, int8 b, uint8 B, bool ?), its number of axes, and its layout: c contiguous, s strided, in capitals if
- * read-only. What is returned is described alike: with L for a whole number without a sign, and A, a type and a number
- * of axes for a new array, which the entry allocates. */
+ * read-only. What is returned is described alike: with L for a whole number without a sign, A, a type and a number of
+ * axes for a new array, which the entry allocates, and {one,two:...} for a dict with these keys. */
 #ifndef BELTARM_VARIANT_H
 #define BELTARM_VARIANT_H
 
@@ -36,8 +36,10 @@ typedef struct {
     Node *nodes;
     char *returns;
     PyObject *constants, *finish;
+    PyObject *dict; /* a dict of results, with its keys alone; NULL without one */
     Py_ssize_t count, arguments, arrays, reals, wholes, slots; /* count: of nodes */
     size_t room;                                               /* bytes that a call needs */
+    bool allocates;                                            /* whether new arrays are among the results */
 } Variant;
 
 /* Arguments and results of a call, in memory of its own */
@@ -49,8 +51,17 @@ typedef struct {
     void **p;
     PyObject **tuples; /* at the index of their node */
     Py_ssize_t held;   /* number of buffers that are held */
+    Py_ssize_t bound;  /* number of first arguments that were unpacked before, and what they have filled: */
+    Py_ssize_t nodes, reals, wholes, arrays;
     bool overflow;
 } Call;
+
+/* A variant with its first arguments */
+typedef struct {
+    PyObject head;
+    PyObject *variant, *arguments;
+    Call c;
+} Bound;
 
 enum { MAX_DEPTH = 100 /* of tuples in a result */, DONE = -1, OTHER = 0 /* type that kernels do not have */ };
 
@@ -118,6 +129,23 @@ static const char *read_arguments(Variant *v, const char *s)
     return used < constants ? "there are too many constants" : NULL;
 }
 
+/* Read the keys of a dict and its numbers; `s` is behind its bracket. Returns where it ends, or NULL. */
+static const char *read_keys(Variant *v, const char *s)
+{
+    if ((v->dict = PyDict_New()) == NULL) return NULL;
+    for (const char *end = s; end[-1] != ':'; s = ++end) {
+        while (*end && strchr(",:", *end) == NULL) ++end;
+        PyObject *key = *end ? PyUnicode_FromStringAndSize(s, end - s) : NULL;
+        if (key) PyUnicode_InternInPlace(&key);
+        bool kept = key && PyDict_SetItem(v->dict, key, Py_None) == 0;
+        if (key) Py_DecRef(key);
+        if (!kept) return NULL;
+    }
+    Py_ssize_t numbers = (Py_ssize_t)strspn(s, "dnbL");
+    v->slots += numbers;
+    return numbers == PyDict_Size(v->dict) && s[numbers] == '}' ? s + numbers : NULL;
+}
+
 /* Read what a variant returns. Returns NULL, or what is wrong. */
 static const char *read_results(Variant *v, const char *s)
 {
@@ -140,6 +168,10 @@ static const char *read_results(Variant *v, const char *s)
             if (!is_type(s[1]) || !is_digit(s[2])) return "a new array is a type and a number of axes";
             v->slots += 1 + s[2] - '0';
             s += 2;
+            break;
+        case '{':
+            if (v->dict) return "there are two dicts";
+            if ((s = read_keys(v, s + 1)) == NULL) return "a dict is its keys, a colon, and as many numbers";
             break;
         default: return "a character has no meaning";
         }
@@ -173,6 +205,9 @@ static bool set_up(Variant *v, const char *spec, const char *returns)
         PyErr_Format(PyExc_ValueError, "result %s: %s", returns, wrong);
         return false;
     }
+    char *keys = strchr(v->returns, '{');
+    if (keys) memmove(keys + 1, strchr(keys, ':') + 1, strlen(strchr(keys, ':'))); /* the dict has them now */
+    v->allocates = strchr(v->returns, 'A') != NULL;
     v->room = sizeof(double) * (size_t)(v->reals + v->wholes + v->slots) +
               (sizeof(Py_buffer) + sizeof(void *)) * (size_t)v->arrays + sizeof(PyObject *) * (size_t)v->count;
     return true;

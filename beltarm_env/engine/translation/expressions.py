@@ -90,6 +90,8 @@ class Expressions(Scope):
             return scalar(found) if isinstance(found, Scalar) else found
         if isinstance(owner, Lazy):
             raise TranslationError(f"an array expression cannot be indexed: {ast.unparse(node)}")
+        if make_of(owner) is dict:
+            raise TranslationError(f"a dict is for Python, and not read here: {ast.unparse(node)}")
         (at,) = index
         if isinstance(at, tuple) and all(end is None or isinstance(end, Const) for end in at):
             chosen = slice(*(end and end.value for end in at))
@@ -126,6 +128,14 @@ class Expressions(Scope):
 
     def _tuple(self, node: ast.Tuple) -> Value:
         return self.tuple_of(self.entries(node.elts))
+
+    def _dict(self, node: ast.Dict) -> Value:
+        """Make a dict for Python, which nothing reads here."""
+        keys = [key.value if isinstance(key, ast.Constant) else None for key in node.keys]
+        names = [key for key in keys if isinstance(key, str) and key.isidentifier()]
+        if not names or len(set(names)) < len(keys):
+            raise TranslationError(f"the keys of a dict are different names in quotes: {ast.unparse(node)}")
+        return Group(dict, tuple(zip(names, self.in_order(node.values), strict=True)))
 
     def entries(self, nodes: list[ast.expr]) -> list[Value]:
         """Evaluate expressions in their order, of which `*a` is as many as the tuple `a` has."""

@@ -31,10 +31,10 @@ EACH_KIND = pytest.mark.parametrize("kind", [np.ndarray, Subclass])
 def takes(kernel: Any, *arguments: Any) -> bool:
     """Whether a kernel that returns None takes arguments, and its variant says the same."""
     if kernel.call(*arguments) is None:
-        assert kernel.variant(0)(*arguments) is None
+        assert kernel.bind(0, ())(*arguments) is None
         return True
     with pytest.raises(TypeError, match="expected, not"):
-        kernel.variant(0)(*arguments)
+        kernel.bind(0, ())(*arguments)
     return False
 
 
@@ -116,7 +116,7 @@ class TestMatching:
                 assert made.call(content, value) == expected
         content.append(1)
         with pytest.raises(TypeError):
-            made.variant(0)(content, 1)
+            made.bind(0, ())(content, 1)
         content.append(1)
 
 
@@ -124,7 +124,7 @@ class TestArguments:
     def test_numbers_come_in_order_through_tuples(self, kernel: Any):
         made = kernel("scalars", "(d(nb))", (Point, Point), "(d(n)0()bL)")
         assert made.call(Point(0.5, Point(-3, True))) == (0.5, (-3,), None, (), True, 2**64 - 1)
-        assert made.variant(0)(Point(0.5, Point(2**62, False)))[1::3] == ((2**62,), False)
+        assert made.bind(0, ())(Point(0.5, Point(2**62, False)))[1::3] == ((2**62,), False)
 
     @EACH_KIND
     def test_shapes_and_strides_are_counted_in_entries(self, kernel: Any, kind: type):
@@ -135,13 +135,13 @@ class TestArguments:
     def test_whole_numbers_beyond_64_bits(self, kernel: Any):
         made = kernel("nothing", "nd")
         for number in (2**63, -(2**63) - 1, 10**40):
-            for call in (made.call, made.variant(0)):
+            for call in (made.call, made.bind(0, ())):
                 with pytest.raises(OverflowError):
                     call(number, 1.0)
             assert made.call(number, 1)[0] == "missing"
 
     def test_an_error_names_the_argument(self, kernel: Any):
-        call = kernel("nothing", "d(n(ad2c))", (Point, tuple)).variant(0)
+        call = kernel("nothing", "d(n(ad2c))", (Point, tuple)).bind(0, ())
         for arguments, words in (
             ((1,), "2 arguments are expected, not 1"),
             ((1, 2), "argument 0: .*float.* not int"),
@@ -168,12 +168,18 @@ class TestResults:
     def test_references_are_not_lost(self, kernel: Any):
         arrays, number, model = [np.zeros(3) for _ in range(4)], 12345.5, object()
         made = kernel("nothing", "ad1cad1c(ad1cd)k", (tuple, model))
-        packed = (arrays[2], number)
-        objects = [*arrays, packed, model, number]
+        packed, content = (arrays[2], number), bytearray(8)
+        objects = [*arrays, packed, model, number, content]
         before = [sys.getrefcount(value) for value in objects]
         for _ in range(100):
             assert made.call(arrays[0], arrays[1], packed, model) is None
             made.call(arrays[0], arrays[1], packed, None)
+            assert made.bind(0, (arrays[0], arrays[1], packed))(model) is None
+            with pytest.raises(TypeError, match="argument 1"):
+                made.bind(0, (arrays[0], packed))
+            held = kernel("numbers", "aB1cnnn", (), "{length,one,two,three:nnnn}").bind
+            assert held(0, (content, 1))(2, 3) == {"length": 8, "one": 1, "two": 2, "three": 3}
+        content.append(1)  # nobody holds its memory
         assert [sys.getrefcount(value) for value in objects] == before
 
 

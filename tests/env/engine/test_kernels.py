@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from recording_calls import contents, copied
 
-from beltarm_env.engine import PLAIN, building, compiled, inlined, kernels, prepared
+from beltarm_env.engine import PLAIN, bound, building, compiled, inlined, kernels
 
 pytestmark = pytest.mark.skipif(PLAIN or building.compiler() is None, reason="kernels run in plain Python")
 
@@ -80,6 +80,12 @@ def added(row: Any, other: Any, count: int) -> Any:
     return sums
 
 
+@kernel_of
+def described(row: Any) -> Any:
+    told = {"total": total(row), "first": float(row[0]), "count": len(row), "rising": bool(row[0] < row[1])}
+    return len(row), told, None
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
@@ -90,6 +96,7 @@ CALLS: list[tuple[Any, list[tuple[Any, ...]]]] = [
     (weighted, [(1.5,), (3,), (True, 0.1), (np.float64(2.5), np.int64(3)), (1.5, 0.1, Gains(1, 2.0, 3))]),
     (chosen, [(True, 5), (np.True_, np.int32(5), "other"), (False, 0, "sum", abs)]),
     (total, [(ROW,), (ROW[::3],), (ROW[::-1],), (ROW[:0],), (read_only(ROW.copy()),), (GRID[:, 1],), (GRID.T[2],)]),
+    (described, [(ROW,), (GRID[:, 1],), (ROW[::-1],)]),
     (smoothed, [(GRID, 1), (GRID.T, 0), (GRID[::2, ::-1], 3), (GRID[:0], 0), (read_only(GRID[:1].copy()), -1)]),
     (added, [(ROW, ROW[::-1], 8), (ROW[:0], ROW[:0], 0), (GRID[0], GRID[:, 0][:3].repeat(4)[:4], 4)]),
 ]
@@ -144,13 +151,17 @@ def test_lengths_that_do_not_fit_are_an_error_and_leave_nothing():
     assert (added(ROW, ROW, 8) == 2 * ROW).all()
 
 
-def test_what_is_prepared_takes_no_other_types():
-    run = prepared(total, ROW)
-    assert run(ROW[:3]) == total(ROW[:3])
+def test_first_arguments_are_bound_and_others_have_their_types():
+    run = bound(smoothed, (GRID,), 0)
+    assert contents(run(1)) == contents(smoothed(GRID, 1))
+    whole = bound(total, (), ROW)
+    assert whole(ROW[:3]) == total(ROW[:3]) and bound(max, (3,), 2)(4) == 4
     for other in (ROW[::2], ROW.astype(np.float32), GRID, 1.0, read_only(ROW.copy())):
         with pytest.raises(TypeError, match="argument 0"):
-            run(other)
-    assert prepared(max, 1, 2) is max
+            whole(other)
+    for others, words in (((1.0,), "argument 1"), ((), "2 arguments are expected, not 1"), ((1, 2), "not 3")):
+        with pytest.raises(TypeError, match=words):
+            run(*others)
 
 
 def made(gain: float, of: Any) -> Any:
@@ -206,7 +217,7 @@ def test_what_cannot_be_translated_runs_in_python_and_a_line_says_so(
 ):
     arguments = given if isinstance(given, tuple) else (given,)
     assert [kernel(*arguments) for _ in range(3)] == [wanted] * 3
-    assert prepared(kernel, *arguments)(*arguments) == wanted
+    assert bound(kernel, arguments[:1], *arguments[1:])(*arguments[1:]) == wanted
     (line,) = told(capsys)
     assert all(word in line for word in words), line
 
@@ -226,7 +237,7 @@ def test_where_nothing_can_be_compiled_kernels_run_in_python_and_a_line_says_so(
     if "glue" in missing:
         monkeypatch.setattr(kernels, "_glue", cache(kernels._glue.__wrapped__))
     law, other = kernel_of(total.py_func), kernel_of(product_less)
-    assert [law(ROW) for _ in range(3)] == [total(ROW)] * 3 and prepared(law, ROW)(ROW) == total(ROW)
+    assert [law(ROW) for _ in range(3)] == [total(ROW)] * 3 and bound(law, (ROW,))() == total(ROW)
     assert other(2.0, 3.0) == product_less(2.0, 3.0)
     lines = told(capsys)
     assert all(word in line for line in lines) and len(lines) == 1

@@ -44,7 +44,8 @@ ROW, WHOLES = np.arange(3.0), np.array([1, 2])
 FRESH = "Pair(np.zeros(2), b)"
 CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     # words of the message; arguments a, b, c; lines of the kernel, `#` marking the one that is named
-    (("a dict", "{'x': a}"), (1.0,), "known = {'x': a} #; return known['x']"),
+    (("a dict", "known['x']"), (1.0,), "known = {'x': a}; return known['x'] #"),
+    (("keys of a dict", "{'x': a, 'x': 2.0}"), (1.0,), "return {'x': a, 'x': 2.0} #"),
     (("a list comprehension", "[a * k for k in range(3)]"), (1.0,), "return sum([a * k for k in range(3)]) #"),
     (("a list comprehension", "(in comprehension, "), (1.0,), "return comprehension(a)"),
     (("a list is not",), (1.0,), "return [a, a][1] #"),
