@@ -34,6 +34,7 @@ class Arguments:
     encoder_counts: Any = fixed("encoder_counts")
     delay: Any = fixed("delay")
     num_moves: Any = fixed("num_moves", "moves")
+    moves: Any = num_moves  # the argument's name: to set it is refused, too
     render_mode: Any = fixed("render_mode")
 
     _spec: EnvSpec | None = None

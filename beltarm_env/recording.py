@@ -26,7 +26,7 @@ _STATES = {"motor_angle": "rad", "motor_speed": "rad/s", "torsion": "rad", "tors
 _ERRORS = {"tip_error_radial": "m", "tip_error_lateral": "m"}
 _UNITS = {"arm": "", "move": "", "time": "s", **_STATES, "torque": "N m", **_ERRORS}  # of the columns of a table
 _PER_SAMPLE = ("state", "torque", "tip_error", "tip_velocity_error")
-_MOST_DRAWN = 12  # arms in a picture
+_MOST_DRAWN = 10  # moves in a picture: as many as Matplotlib has colours
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -174,7 +174,7 @@ class Recording:
         return columns | {name: self.tip_error[:, :, k].T.ravel() for k, name in enumerate(_ERRORS)}
 
     def plot(self) -> Figure:
-        """Draw the tip's error, the torque, and torsion over its rate, of the first arms; each arm has one colour.
+        """Draw the tip's error, the torque, and torsion over its rate, of the first ten moves, each in one colour.
 
         Returns:
             The figure: a notebook shows it, `savefig` writes it.
@@ -199,7 +199,8 @@ class Recording:
         for axis in (error, torque):
             axis.axvspan(0, self.moves[:count, 2].max(), color="0.5", alpha=0.12, lw=0)
             axis.set_xlim(0, self.time[-1])
-        error.set(ylabel="error of the arm's end (mm)", ylim=(0, None), title="the move is shaded")
+        part = f"; the first {count} of {len(self.cost)} moves" if count < len(self.cost) else ""
+        error.set(ylabel="error of the arm's end (mm)", ylim=(0, None), title=f"the move is shaded{part}")
         torque.set(ylabel="commanded torque (N m)", xlabel="time (s)")
         phase.set(xlabel="torsion of the belt (mrad)", ylabel="its rate (rad/s)")
         for axis in (error, torque, phase):

@@ -291,6 +291,8 @@ class TestArguments:
                 setattr(env, attribute, value)
             assert getattr(env, attribute) == before
             assert getattr(kind(**{name: value}), attribute) in (value, AutoresetMode.SAME_STEP)
+        with pytest.raises(AttributeError, match="moves"):  # of a batch, the table of what each arm does
+            env.moves = 5
         with pytest.raises(AttributeError, match="sensors"):
             SyncVectorEnv([partial(gym.make, "BeltArm-v0")]).set_attr("sensors", "full")
         given: dict[str, Any] = {"payload_mass": (0.1, 0.2)}
