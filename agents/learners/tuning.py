@@ -32,8 +32,15 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ReinforcementConfig
 from agents.learners.spaces import SPACES, Searched
 from agents.runs.training import News, train
-from baselines.engines.options import SideBySide
-from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
+from baselines.engines.parallel import (
+    Channel,
+    Failure,
+    Interrupted,
+    SideBySide,
+    StopRequest,
+    default_jobs,
+    run_side_by_side,
+)
 from baselines.tools.command import require_bounds, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups

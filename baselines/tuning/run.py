@@ -12,9 +12,8 @@ from typing import Annotated, Any, ClassVar
 import tyro
 from rich.console import Console
 
-from baselines.engines.options import WithStorage
 from baselines.engines.parallel import Interrupted, StopRequest, run_side_by_side, stop_on_signals
-from baselines.engines.workplace import Workplace
+from baselines.engines.workplace import WithStorage, Workplace
 from baselines.gains import FILE, Gains, read_file, write_entry
 from baselines.loops.condition import MarginCondition, least_margins
 from baselines.registry import TUNABLE

@@ -49,7 +49,7 @@ class StopAfter(StopRequest):
         self.looks = looks
 
     @property
-    def made(self) -> bool:
+    def made(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.looks -= 1
         return self.looks < 0
 
