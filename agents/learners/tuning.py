@@ -229,7 +229,7 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Interrupted:
-            studies.repeat_later(study, trial)
+            return  # the trial is repeated when the study goes on
         except ValueError as error:
             trial.set_user_attr("failure", str(error))
             study.tell(trial, state=TrialState.FAIL)
