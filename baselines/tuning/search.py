@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
-from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import wilcoxon
 
@@ -139,17 +139,15 @@ def hopeless(costs: Floats, best: Floats) -> bool:
     return bool(test.pvalue < SIGNIFICANCE)
 
 
-def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
+def space(kind: type[Gains]) -> dict[str, FloatDistribution]:
     """Distributions of all gains."""
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
+    return {gain.name: FloatDistribution(**gain.metadata) for gain in fields(kind)}
 
 
 def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
-    """Gains rounded to six significant digits, as they are written to the file."""
+    """Gains rounded to six significant digits, as they are written to the file, and within their ranges."""
     near = {name: float(f"{value:.6g}") for name, value in params.items()}
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
+    return kind(**{name: min(max(near[name], of.low), of.high) for name, of in space(kind).items()})
 
 
 def beginnings(kind: type[Gains]) -> list[dict[str, float]]:

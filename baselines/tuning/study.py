@@ -97,7 +97,7 @@ def open_study(
 
 def ask(
     study: optuna.Study,
-    space: dict[str, BaseDistribution],
+    space: Mapping[str, BaseDistribution],
     seed: int,
     worker: int = 0,
     first: Sequence[dict[str, float]] = (),
@@ -108,7 +108,7 @@ def ask(
         study.enqueue_trial(first[at])
     seeds = np.random.SeedSequence([seed, worker, at])
     study.sampler = optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
-    trial = study.ask(space)
+    trial = study.ask(dict(space))
     trial.set_user_attr(_WORKER, worker)
     return trial
 

@@ -53,10 +53,6 @@ class StopAfter(StopRequest):
         self.looks -= 1
         return self.looks < 0
 
-    @made.setter
-    def made(self, value: bool) -> None:
-        pass
-
 
 def weights(folder: Path) -> dict[str, bytes]:
     return {name: array.tobytes() for name, array in read_bundle(folder).weights.arrays.items()}
