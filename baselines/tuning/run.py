@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 import tyro
 from rich.console import Console
 
-from baselines.engines.parallel import Channel, Interrupted, StopRequest, run_side_by_side, stop_on_signals
+from baselines.engines.parallel import Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import WithStorage, Workplace
 from baselines.gains import FILE, Gains, read_file, write_entry
 from baselines.loops.condition import MarginCondition, least_margins
@@ -23,7 +23,7 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
 from baselines.tools.resuming import note_options, noted_options
-from baselines.tuning.search import SearchProgress, SearchResult, Terms, search, split_budget
+from baselines.tuning.search import SearchProgress, SearchResult, Terms, search_in, split_budget
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
 from beltarm_env.task.seeds import GAIN_CHOICE
@@ -130,9 +130,7 @@ def tune(config: TuningConfig, console: Console) -> None:
             note_options(config.file(name, "json"), config)
         console.print(f"searching with {config.budget} samples for each: {', '.join(names)}", soft_wrap=True)
         searches = {
-            name: workplace.task(
-                name, config.journals, partial(_search_in, name, config.terms), Path(f"{name}.journal")
-            )
+            name: workplace.task(name, config.journals, partial(search_in, name, config.terms), Path(f"{name}.journal"))
             for name in names
         }
 
@@ -156,10 +154,6 @@ def tune(config: TuningConfig, console: Console) -> None:
     if stop.made:
         raise Interrupted
     console.print(f"written to {config.out}: {', '.join(names)}")
-
-
-def _search_in(name: str, terms: Terms, folder: Path, channel: Channel) -> SearchResult:
-    return search(TUNABLE[name], terms, folder / f"{name}.journal", channel)
 
 
 def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResult, at: str) -> dict[str, object]:

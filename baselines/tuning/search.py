@@ -46,6 +46,7 @@ from scipy.stats import wilcoxon
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Gains, Tunable
 from baselines.loops.condition import MarginCondition, least_margins
+from baselines.registry import TUNABLE
 from baselines.tools.files import errors_about
 from baselines.tuning.study import ask, open_study, own, repeat_interrupted
 from beltarm_env import EPISODE_STEPS
@@ -101,18 +102,14 @@ class SearchResult:
     seconds: float  # of trials and choice
 
 
-def least_budget(moves: int = 1) -> int:
-    """Steps for one trial and a choice, on arms with some moves each."""
-    return RUNGS[-1] * moves * EPISODE_STEPS * 5 // 4
-
-
-def split_budget(budget: int, moves: int = 1) -> tuple[int, int]:
+def split_budget(budget: int, moves: int) -> tuple[int, int]:
     """Divide a budget: steps of the search, and arms on which each finalist and the untuned gains run in the choice.
 
     Raises:
         ValueError: If the budget is too small.
     """
-    if budget < (least := least_budget(moves)):
+    least = RUNGS[-1] * moves * EPISODE_STEPS * 5 // 4
+    if budget < least:
         raise ValueError(f"--budget must be at least {least} steps, enough for one trial, got {budget}")
     each = (FINALISTS + 1) * moves * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
@@ -204,6 +201,11 @@ def search(tunable: Tunable, terms: Terms, journal: Path, channel: Channel | Non
         study.set_user_attr("found", asdict(found))
         study.set_user_attr("budget", terms.budget)
     return found
+
+
+def search_in(name: str, terms: Terms, folder: Path, channel: Channel) -> SearchResult:
+    """Search for a controller's gains with the journal in a folder, as a task."""
+    return search(TUNABLE[name], terms, folder / f"{name}.journal", channel)
 
 
 class _Search:

@@ -25,7 +25,7 @@ from baselines.loops.condition import MarginCondition
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning import search as race
-from baselines.tuning.search import RUNGS, SearchProgress, Terms, least_budget, open_search, search, split_budget
+from baselines.tuning.search import RUNGS, SearchProgress, Terms, open_search, search, split_budget
 from baselines.tuning.study import begin_anew, own
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
@@ -33,7 +33,7 @@ from beltarm_env.engine.library import ANNOUNCEMENT
 SCRIPT = str(Path(__file__).resolve().parents[2] / "baselines/tune.py")
 NAMES = tuple(TUNABLE)[:2]
 BATCH = RUNGS[0] * EPISODE_STEPS
-MIN_BUDGET = least_budget()
+MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
 
 def test_a_search_keeps_its_budget_and_helps(tmp_path: Path):
     moves, reported = 2, list[SearchProgress]()
-    budget = 3 * least_budget(moves) + 1
+    budget = 3 * moves * MIN_BUDGET + 1
     Counting.steps = 0
     first = search(KIND, Terms(budget, 3, moves), tmp_path / "journal", Channel(reported.append))
     assert first.steps == Counting.steps == reported[-1].steps <= budget
