@@ -20,7 +20,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import tyro
 from rich.console import Console
 
-from baselines.engines.options import SideBySide
+from baselines.engines.parallel import SideBySide
 from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import write_text
 from baselines.tools.options import Groups

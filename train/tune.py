@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import resume_command, run_command, stop_without
 
 try:
-    from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, tune
+    from agents.learners.tuning import TuningConfig, counted, training_command, tune
     from baselines.engines.parallel import StopRequest, stop_on_signals
     from baselines.tools.files import write_text
 except ModuleNotFoundError as error:
@@ -43,7 +43,7 @@ def run(config: TuningConfig) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command(__file__, TuningConfig, run, __doc__, begun_options)
+    run_command(__file__, TuningConfig, run, __doc__, TuningConfig.begun)
 
 
 if __name__ == "__main__":

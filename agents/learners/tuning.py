@@ -32,8 +32,15 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ReinforcementConfig
 from agents.learners.spaces import SPACES, Searched
 from agents.runs.training import News, train
-from baselines.engines.options import SideBySide
-from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
+from baselines.engines.parallel import (
+    Channel,
+    Failure,
+    Interrupted,
+    SideBySide,
+    StopRequest,
+    default_jobs,
+    run_side_by_side,
+)
 from baselines.tools.command import require_bounds, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups
@@ -76,6 +83,14 @@ class TuningConfig(SideBySide):
     def file(self, kind: str) -> Path:
         """File of the study: its "journal", the "json" of its options, or the "csv" table of its trials."""
         return self.out / f"{self.algorithm}.{kind}"
+
+    def begun(self) -> dict[str, Any]:
+        """Options that the study to be resumed was begun with, or resumed with last; none where nothing is resumed.
+
+        Raises:
+            ValueError: If the file that notes them is damaged.
+        """
+        return noted_options(self.file("json"), "algorithm", "out", "resume") if self.resume else {}
 
     def check(self) -> None:
         """Check the options.
@@ -121,15 +136,6 @@ class TuningConfig(SideBySide):
         return values
 
 
-def begun_options(config: TuningConfig) -> dict[str, Any]:
-    """Options that the study to be resumed was begun with, or resumed with last; none where nothing is resumed.
-
-    Raises:
-        ValueError: If the file that notes them is damaged.
-    """
-    return noted_options(config.file("json"), "algorithm", "out", "resume") if config.resume else {}
-
-
 def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
     """Open the study in the journal, or through a proxy of its storage, or begin one.
 
@@ -145,12 +151,7 @@ def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
 def tune(
     config: TuningConfig, stop: StopRequest | None = None, tell: Callable[[str], object] = lambda _: None
 ) -> optuna.Study:
-    """Run trials until there are enough, or until asked to stop.
-
-    Args:
-        config: Options.
-        stop: Whether to stop.
-        tell: Called with a line as trials begin, and for each that is complete.
+    """Run trials until there are enough, or until asked to stop; `tell` gets lines about them.
 
     Raises:
         ValueError: If an option is not allowed, the journal holds another study or is used by another process, or a
@@ -217,36 +218,31 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
     while not channel.stop.made and len(counted(study)) < config.trials:
         trial = studies.ask(study, SPACES[config.algorithm], config.seed, worker)
         run = config.run(trial.params, studies.place(study, trial))
+        costs: list[float] = []
         try:
-            value = _value(config, run, trial, channel.stop)
+            train(run, Channel(partial(_judge, trial, costs), channel.stop))
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Interrupted:
-            studies.repeat_later(study, trial)
+            return  # the trial is repeated when the study goes on
         except ValueError as error:
             trial.set_user_attr("failure", str(error))
             study.tell(trial, state=TrialState.FAIL)
         else:
-            study.tell(trial, value)
-            channel.report(f"trial {trial.number}: cost {value:.1f}, best {study.best_value:.1f}")
+            study.tell(trial, min(costs))
+            channel.report(f"trial {trial.number}: cost {min(costs):.1f}, best {study.best_value:.1f}")
         finally:
             shutil.rmtree(run.out, ignore_errors=True)
 
 
-def _value(config: TuningConfig, run: ReinforcementConfig, trial: Trial, stop: StopRequest) -> float:
-    """Lowest validation cost of the run of a trial."""
-    costs: list[float] = []
-
-    def judge(news: News) -> None:
-        if news.cost is None:
-            return
-        costs.append(news.cost)
-        trial.report(news.cost, len(costs))
-        if trial.should_prune():
-            raise optuna.TrialPruned
-
-    train(run, Channel(judge, stop))
-    return min(costs)
+def _judge(trial: Trial, costs: list[float], news: News) -> None:
+    """Add the cost of a validation to those of a trial, and end the trial if it is worse than most."""
+    if news.cost is None:
+        return
+    costs.append(news.cost)
+    trial.report(news.cost, len(costs))
+    if trial.should_prune():
+        raise optuna.TrialPruned
 
 
 def counted(study: optuna.Study) -> list[FrozenTrial]:
@@ -264,15 +260,13 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
     Raises:
         ValueError: If no trial was completed.
     """
-    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
-        failures = [trial.user_attrs.get("failure", "") for trial in study.get_trials(deepcopy=False)]
-        raise ValueError(
-            f"no trial of {config.file('journal')} was completed; {next(filter(None, failures), 'none was run')}"
-        )
+    trials = study.get_trials(deepcopy=False)
+    if not any(trial.state == TrialState.COMPLETE for trial in trials):
+        failures = filter(None, (trial.user_attrs.get("failure") for trial in trials))
+        raise ValueError(f"no trial of {config.file('journal')} was completed; {next(failures, 'none was run')}")
     options = {"base": config.base, **study.best_params}
-    arguments = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
+    arguments = list[str]()
+    for name, value in options.items():
+        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+        arguments += [f"--{name.replace('_', '-')}", *shown.split()]
     return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *arguments, '--arms', str(config.arms)])}"
-
-
-def _shown(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

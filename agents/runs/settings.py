@@ -13,7 +13,7 @@ from agents.policy.description import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
-from baselines.engines.options import WithStorage
+from baselines.engines.workplace import WithStorage
 from baselines.tools.command import require_bounds
 from baselines.tools.options import Groups
 from baselines.tools.schema import in_a_line

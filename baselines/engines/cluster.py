@@ -1,9 +1,8 @@
 """Tasks on a cluster of Ray, or on one of this machine alone that lasts as long as the command.
 
-Tasks are plain ones of Ray. Its backend for joblib (`ray.util.joblib`) was not enough: it returns no generator, waits
-until all its workers have a core before it begins, hands tasks out in turn whether or not a worker is free, and ends
-all of them where one dies. A task whose process dies is begun again by `baselines.engines.parallel`: Ray itself would
-do so without end where memory is short.
+Tasks are plain ones of Ray. Its backend for joblib (`ray.util.joblib`) returns no generator, waits until all its
+workers have a core, hands tasks out in turn whether or not a worker is free, and ends all of them where one dies.
+`baselines.engines.parallel` begins a task whose process dies again: where memory is short, Ray would do so without end.
 
 Every worker proves that its code and packages are those of the process that began the tasks: only then are numbers the
 same.
@@ -25,7 +24,7 @@ from typing import Any
 
 from gymnasium.error import DependencyNotInstalled
 
-from baselines.engines.task import THREADS, Workers
+from baselines.engines.parallel import THREADS, Workers
 from baselines.tools.provenance import code_and_packages
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +51,7 @@ def ray_workers(address: str | None, jobs: int | None, threads: int) -> Iterator
         OSError: If no cluster answers, or it is lost.
         ValueError: If a worker has other code or packages, or no machine has enough cores.
     """
-    with connected(address, jobs and jobs * threads) as ray:
+    with _connected(address, jobs and jobs * threads) as ray:
         from ray.util.queue import Queue
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
@@ -84,17 +83,8 @@ def ray_workers(address: str | None, jobs: int | None, threads: int) -> Iterator
 
 
 @contextmanager
-def connected(address: str | None, cores: int | None = None) -> Iterator[Any]:
-    """Connect to a cluster of Ray, or begin one on this machine, and end the connection; gives the package `ray`.
-
-    Args:
-        address: Of the cluster; None to begin one.
-        cores: Of the one that is begun; None for all.
-
-    Raises:
-        DependencyNotInstalled: Without Ray.
-        OSError: If the address does not answer.
-    """
+def _connected(address: str | None, cores: int | None) -> Iterator[Any]:
+    """Give the package `ray`, connected to a cluster, or to one of so many cores (None: all) that begins here."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     token = (Path.home() / ".ray" / "auth_token").exists() or "RAY_AUTH_TOKEN" in os.environ
@@ -105,16 +95,19 @@ def connected(address: str | None, cores: int | None = None) -> Iterator[Any]:
     except ModuleNotFoundError:
         remedy = "pip install 'beltarm-env[ray]'"
         raise DependencyNotInstalled(f"--engine ray needs Ray: `{remedy}`, or `make setup` in a checkout") from None
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    options: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
     logging.getLogger("ray").setLevel(logging.ERROR)  # else it tells of tokens
+    options: dict[str, Any] = {}
+    if address is None:
+        paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        options = {"include_dashboard": False, "num_cpus": cores, "runtime_env": {"env_vars": {"PYTHONPATH": paths}}}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        if address is None:
-            paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-            variables = {"env_vars": {"PYTHONPATH": paths}}
-            options |= {"include_dashboard": False, "num_cpus": cores, "runtime_env": variables}
-        with _refused(address):
-            ray.init(address or "local", **options)
+        try:
+            _require_listener(address or "")
+            ray.init(address or "local", log_to_driver=False, configure_logging=False, **options)
+        except (Exception, SystemExit) as error:
+            where = f"at --address {address}" if address else "on this machine"
+            raise OSError(f"no cluster of Ray answers {where} ({error}); `ray start --head` begins one") from None
         for number, handler in before.items():  # Ray sets its own
             signal.signal(number, handler)
         yield ray
@@ -122,25 +115,22 @@ def connected(address: str | None, cores: int | None = None) -> Iterator[Any]:
         ray.shutdown()
 
 
-@contextmanager
-def _refused(address: str | None) -> Iterator[None]:
-    """Check that somebody listens at an address, and turn any error about it, or of Ray as it begins, into an OSError.
+def _require_listener(address: str) -> None:
+    """Check that somebody listens at an address: Ray would try for two minutes, and then end the process.
 
-    Where nobody listens, Ray itself would try for two minutes, and then end the process.
+    Raises:
+        ValueError, OSError: If it is of another kind, or nobody does.
     """
-    host, _, port = (address or "").rpartition(":")
-    try:
-        if host.startswith("ray://"):
-            raise ValueError("it is of Ray's client: run the command on a machine of the cluster instead")
-        if port.isdigit():  # not "auto"
-            socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
-        yield
-    except (Exception, SystemExit) as error:
-        where = f"at --address {address}" if address else "on this machine"
-        raise OSError(f"no cluster of Ray answers {where} ({error}); `ray start --head` begins one") from None
+    host, _, port = address.rpartition(":")
+    if host.startswith("ray://"):
+        raise ValueError("it is of Ray's client: run the command on a machine of the cluster instead")
+    if port.isdigit():  # not "auto"
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE).close()
 
 
 # In other processes
+
+own_code = cache(code_and_packages)
 
 
 def _work(call: bytes, expected: str) -> bytes:
@@ -149,11 +139,6 @@ def _work(call: bytes, expected: str) -> bytes:
     Raises:
         RuntimeError: If the code or packages of this worker are not those that are expected.
     """
-    if _own_code() != expected:
+    if own_code() != expected:
         raise RuntimeError(f"{socket.gethostname()} has other code or other packages")
     return pickle.loads(call)()
-
-
-@cache
-def _own_code() -> str:
-    return code_and_packages()

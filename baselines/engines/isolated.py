@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
-from baselines.engines.task import BrokenOff, Channel, Failure, attempt, end_with_parent, pickled
+from baselines.engines.parallel import BrokenOff, Channel, Failure, attempt, end_with_parent, pickled
 
 Result = TypeVar("Result")
 _POLL = 0.1  # [s]

@@ -14,6 +14,7 @@ import uuid
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,13 +22,31 @@ from typing import Any
 
 import fsspec
 
-from baselines.engines.options import WithStorage
-from baselines.engines.task import Channel, Result, Task
+from baselines.engines.parallel import Channel, Result, SideBySide, Task
 from baselines.tools.files import write_text
 
 _WORK_PER_COPY = 20  # times as long as a copy to the storage takes
 InFolder = Callable[[Path, Channel], Result]
 """Task that works in a folder, and goes on from what is there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithStorage(SideBySide):
+    """Options of a command whose tasks side by side save their work as they go."""
+
+    storage: str | None = None
+    """With Ray: where tasks save their work, as a path or a URL of fsspec (s3://bucket/folder, ...) that all machines
+    reach. Default: --out, which all machines then have to share."""
+
+    def check_engine(self) -> None:
+        """Check the options of the engine.
+
+        Raises:
+            ValueError: As above, or if the local engine is given a storage.
+        """
+        super().check_engine()
+        if self.storage and self.engine == "local":
+            raise ValueError(f"--storage {self.storage} is for --engine ray: here, work is saved in its folder")
 
 
 class Workplace:

@@ -12,9 +12,8 @@ from typing import Annotated, Any, ClassVar
 import tyro
 from rich.console import Console
 
-from baselines.engines.options import WithStorage
 from baselines.engines.parallel import Interrupted, StopRequest, run_side_by_side, stop_on_signals
-from baselines.engines.workplace import Workplace
+from baselines.engines.workplace import WithStorage, Workplace
 from baselines.gains import FILE, Gains, read_file, write_entry
 from baselines.loops.condition import MarginCondition, least_margins
 from baselines.registry import TUNABLE
@@ -24,7 +23,7 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
 from baselines.tools.resuming import note_options, noted_options
-from baselines.tuning.search import SearchProgress, SearchResult, search_in, split_budget
+from baselines.tuning.search import SearchProgress, SearchResult, Terms, search_in, split_budget
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
 from beltarm_env.task.seeds import GAIN_CHOICE
@@ -63,17 +62,13 @@ class TuningConfig(WithStorage):
     """Continue the searches that have a journal, and start the others."""
 
     @property
-    def condition(self) -> MarginCondition | None:
-        """Margins that every loop has to keep; None for none."""
-        return MarginCondition() if self.margins else None
+    def terms(self) -> Terms:
+        """What every search is to keep to."""
+        return Terms(self.budget, self.seed, self.moves, MarginCondition() if self.margins else None)
 
-    def journal(self, name: str) -> Path:
-        """Journal of a controller's search."""
-        return self.journals / f"{name}.journal"
-
-    def noted(self, name: str) -> Path:
-        """File of the options with which a controller's search was begun, or resumed last."""
-        return self.journals / f"{name}.json"
+    def file(self, name: str, kind: str) -> Path:
+        """File of a controller's search: its "journal", or the "json" of the options that it had last."""
+        return self.journals / f"{name}.{kind}"
 
     def chosen(self) -> list[str]:
         """Names of the controllers to tune.
@@ -98,7 +93,7 @@ class TuningConfig(WithStorage):
         if not self.resume:
             return {}
         of_this_run = ("names", "all", "journals", "resume")
-        noted = {name: noted_options(self.noted(name), *of_this_run) for name in self.chosen()}
+        noted = {name: noted_options(self.file(name, "json"), *of_this_run) for name in self.chosen()}
         first, *others = [name for name, options in noted.items() if options] or [""]
         for name in others:
             if noted[name] != noted[first]:
@@ -128,15 +123,14 @@ def tune(config: TuningConfig, console: Console) -> None:
         for name in names:
             workplace.prepare(name, config.journals, resume=config.resume, overwrite=True)
             if not config.resume:
-                begin_anew(config.journal(name))
-        if config.resume and not any(config.journal(name).exists() for name in names):
+                begin_anew(config.file(name, "journal"))
+        if config.resume and not any(config.file(name, "journal").exists() for name in names):
             raise ValueError(f"nothing to resume in {config.journals}: run once without --resume")
         for name in names:
-            note_options(config.noted(name), config)
+            note_options(config.file(name, "json"), config)
         console.print(f"searching with {config.budget} samples for each: {', '.join(names)}", soft_wrap=True)
-        how = {"budget": config.budget, "seed": config.seed, "condition": config.condition, "moves": config.moves}
         searches = {
-            name: workplace.task(name, config.journals, partial(search_in, name, **how), Path(f"{name}.journal"))
+            name: workplace.task(name, config.journals, partial(search_in, name, config.terms), Path(f"{name}.journal"))
             for name in names
         }
 
@@ -166,11 +160,11 @@ def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResul
     """Provenance of gains found at a commit: the search, its effort, and the margins asked for and reached."""
     effort = {name: value for name, value in asdict(found).items() if name not in ("gains", "arms")}
     margins: object = "not asked for"
-    if config.condition is not None:
-        least = least_margins(TUNABLE[name].controller(gains), config.condition.arms)
+    if (condition := config.terms.condition) is not None:
+        least = least_margins(TUNABLE[name].controller(gains), condition.arms)
         reached = {"modulus": round(least.modulus, 3), "modulus_at": least.modulus_at}
         reached |= {"delay_samples": round(least.delay, 2), "delay_at": least.delay_at}
-        margins = {**asdict(config.condition), "reached": reached}
+        margins = {**asdict(condition), "reached": reached}
     return {
         "command": command_line(),
         "seed": config.seed,

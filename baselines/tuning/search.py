@@ -1,8 +1,8 @@
 """Search for a controller's gains: one optimiser, one set of arms, one objective and one budget for all of them.
 
 **Objective.** The mean cost of a move (`beltarm_env.task.cost`) over arms of the training ranges, with one random move
-each or several in a row. An arm that leaves its workspace is charged as everywhere; a controller that fails counts as
-the highest cost there is. That is what agents learn for and what the comparison ranks by, and nothing is added to it.
+each or several in a row: what agents learn for and the comparison ranks by. A controller that fails counts as the
+highest cost there is.
 
 **Search.** First run the untuned gains, then each gain alone, an eighth of its range lower and higher: among ten gains
 an estimator that began at random found none as good as the untuned ones. From there on a tree-structured Parzen
@@ -12,17 +12,16 @@ On n arms, with differences d_i in cost to the best,
     estimated cost = mean cost of the best trial on all its arms + mean(d)
 
 is what the estimator learns from. After each of `RUNGS` arms a trial is pruned if Wilcoxon's signed-rank test says
-that it is worse than the best one. The test looks at ranks; costs have long tails and their mean is what counts, so a
-trial whose estimated cost is lower goes on. Optuna's `WilcoxonPruner` makes the same test, but wants the cost of every
-arm reported, each a write to the journal: 4 ms, or 70 on a busy disk, where an arm is simulated in 6 ms.
+that it is worse than the best one, unless its estimated cost is lower: the test looks at ranks, but costs have long
+tails. Optuna's `WilcoxonPruner` would write the cost of every arm to the journal, as slow as to simulate it.
 
 **Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
 and the untuned gains, on other arms. The best on all arms that it has met is the result; its cost on the others is what
 is reported.
 
 **Margins.** Gains whose loop falls short of a `MarginCondition` are refused before anything is simulated. How far they
-fall short is noted as a constraint, by which the estimator ranks them, and behind all that were not refused. A search
-ends after `MAX_REFUSED` of them. The untuned gains have to pass.
+fall short is noted as a constraint: the estimator ranks them by it, behind all others. A search ends after
+`MAX_REFUSED` of them. The untuned gains have to pass.
 
 The budget counts simulated control periods of single arms, those of pruned, failed and interrupted trials too. It is
 never exceeded.
@@ -40,7 +39,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
-from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import wilcoxon
 
@@ -52,7 +51,7 @@ from baselines.tools.files import errors_about
 from baselines.tuning.study import ask, open_study, own, repeat_interrupted
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import rollout
+from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
@@ -68,6 +67,15 @@ WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
 _WITHOUT_LOOP = 2.0  # shortfall of gains that make no controller or no loop: beyond that of any loop
 _COSTS, _FAILURE = "costs", "failure"  # attributes of a complete trial, and of one in which the controller failed
+
+
+class Terms(NamedTuple):
+    """What a search is to keep to."""
+
+    budget: int  # simulated steps, those in the journal included
+    seed: int = 0  # of the optimiser
+    moves: int = 1  # of each arm, in a row
+    condition: MarginCondition | None = None  # margins that the loop has to keep; None for none
 
 
 class SearchProgress(NamedTuple):
@@ -94,18 +102,14 @@ class SearchResult:
     seconds: float  # of trials and choice
 
 
-def least_budget(moves: int = 1) -> int:
-    """Steps for one trial and a choice, on arms with some moves each."""
-    return RUNGS[-1] * moves * EPISODE_STEPS * 5 // 4
-
-
-def split_budget(budget: int, moves: int = 1) -> tuple[int, int]:
+def split_budget(budget: int, moves: int) -> tuple[int, int]:
     """Divide a budget: steps of the search, and arms on which each finalist and the untuned gains run in the choice.
 
     Raises:
         ValueError: If the budget is too small.
     """
-    if budget < (least := least_budget(moves)):
+    least = RUNGS[-1] * moves * EPISODE_STEPS * 5 // 4
+    if budget < least:
         raise ValueError(f"--budget must be at least {least} steps, enough for one trial, got {budget}")
     each = (FINALISTS + 1) * moves * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
@@ -132,17 +136,15 @@ def hopeless(costs: Floats, best: Floats) -> bool:
     return bool(test.pvalue < SIGNIFICANCE)
 
 
-def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
+def space(kind: type[Gains]) -> dict[str, FloatDistribution]:
     """Distributions of all gains."""
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
+    return {gain.name: FloatDistribution(**gain.metadata) for gain in fields(kind)}
 
 
 def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
-    """Gains rounded to six significant digits, as they are written to the file."""
+    """Gains rounded to six significant digits, as they are written to the file, and within their ranges."""
     near = {name: float(f"{value:.6g}") for name, value in params.items()}
-    ranges = {gain.name: gain.metadata for gain in fields(kind)}
-    return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
+    return kind(**{name: min(max(near[name], of.low), of.high) for name, of in space(kind).items()})
 
 
 def beginnings(kind: type[Gains]) -> list[dict[str, float]]:
@@ -156,17 +158,16 @@ def beginnings(kind: type[Gains]) -> list[dict[str, float]]:
     return found
 
 
-def open_search(
-    kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None, moves: int = 1
-) -> optuna.Study:
+def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
     """Open the study of a search, or begin one; what was interrupted is to be repeated.
 
     Raises:
         ValueError: If the journal is damaged, or was begun with another seed, other gains, margins or moves.
     """
+    condition = terms.condition
     begun = {
-        "seed": seed,
-        "moves": moves,
+        "seed": terms.seed,
+        "moves": terms.moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
         "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
     }
@@ -175,25 +176,10 @@ def open_search(
     return study
 
 
-def search(
-    tunable: Tunable,
-    budget: int,
-    seed: int,
-    journal: Path,
-    channel: Channel | None = None,
-    condition: MarginCondition | None = None,
-    moves: int = 1,
-) -> SearchResult:
-    """Search for gains, resuming from the journal.
+def search(tunable: Tunable, terms: Terms, journal: Path, channel: Channel | None = None) -> SearchResult:
+    """Search for gains, resuming from the journal, in which every trial is noted as it runs.
 
-    Args:
-        tunable: Controller and gains to tune.
-        budget: Simulated steps, those in the journal included.
-        seed: Of the optimiser.
-        journal: File in which every trial is noted as it runs.
-        channel: Gets a `SearchProgress` after every batch of arms.
-        condition: Margins that the loop has to keep; None for none.
-        moves: Of each arm, in a row.
+    The channel gets a `SearchProgress` after every batch of arms.
 
     Raises:
         ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
@@ -201,27 +187,25 @@ def search(
         OSError: If the journal cannot be written.
         Interrupted: If asked to stop; the journal is in order.
     """
-    steps, arms = split_budget(budget, moves)
+    steps, arms = split_budget(terms.budget, terms.moves)
     with own(journal), errors_about(journal):
-        study = open_search(tunable.gains, seed, journal, condition, moves)
-        if study.user_attrs.get("budget") == budget:
+        study = open_search(tunable.gains, terms, journal)
+        if study.user_attrs.get("budget") == terms.budget:
             return SearchResult(**study.user_attrs["found"])
-        run = _Search(tunable, study, channel or Channel(), condition, moves)
+        run = _Search(tunable, terms, study, channel or Channel())
         if run.steps > steps:
-            raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
-        while run.steps + RUNGS[-1] * moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
-            run.trial(seed)
+            raise ValueError(f"{journal} holds more steps than --budget {terms.budget} allows: raise it, or tune anew")
+        while run.steps + RUNGS[-1] * terms.moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
+            run.trial()
         found = run.choose(arms)
         study.set_user_attr("found", asdict(found))
-        study.set_user_attr("budget", budget)
+        study.set_user_attr("budget", terms.budget)
     return found
 
 
-def search_in(
-    name: str, folder: Path, channel: Channel, *, budget: int, seed: int, condition: MarginCondition | None, moves: int
-) -> SearchResult:
-    """Search for a controller's gains with the journal in a folder, as a task; see `search`."""
-    return search(TUNABLE[name], budget, seed, folder / f"{name}.journal", channel, condition, moves)
+def search_in(name: str, terms: Terms, folder: Path, channel: Channel) -> SearchResult:
+    """Search for a controller's gains with the journal in a folder, as a task."""
+    return search(TUNABLE[name], terms, folder / f"{name}.journal", channel)
 
 
 class _Search:
@@ -231,26 +215,23 @@ class _Search:
         ValueError: If the untuned gains fall short of the margins, or there is no linear law.
     """
 
-    def __init__(
-        self, tunable: Tunable, study: optuna.Study, channel: Channel, condition: MarginCondition | None, moves: int
-    ) -> None:
-        self._tunable, self._study, self._channel, self._condition = tunable, study, channel, condition
-        self._moves, self._first = moves, beginnings(tunable.gains)
-        self._untuned = asdict(tunable.gains())
-        self._space = space(tunable.gains)
-        self.steps = moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
+    def __init__(self, tunable: Tunable, terms: Terms, study: optuna.Study, channel: Channel) -> None:
+        self._tunable, self._terms, self._study, self._channel = tunable, terms, study, channel
+        self._first, self._space = beginnings(tunable.gains), space(tunable.gains)
+        self._untuned = self._first[0]
+        self.steps = terms.moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
         self.refused = len(self._trials(TrialState.PRUNED))
-        if condition is not None and condition.shortfall(tunable.controller(tunable.gains())) > 0:
-            least = least_margins(tunable.controller(tunable.gains()), condition.arms)
-            remedy = f"change the defaults of {tunable.gains.__name__}"
+        condition = terms.condition
+        if condition is not None and condition.shortfall(untuned := tunable.controller(tunable.gains())) > 0:
+            least, remedy = least_margins(untuned, condition.arms), f"change the defaults of {tunable.gains.__name__}"
             raise ValueError(f"the untuned gains fall short of the margins asked for, {least}: {remedy}")
 
-    def trial(self, seed: int) -> None:
+    def trial(self) -> None:
         """Run one trial until it is complete or pruned; none of a proposal that is refused."""
         complete = self._complete()
         best = np.array(complete[0].user_attrs[_COSTS] if complete else [])
-        trial = ask(self._study, self._space, seed, first=self._first)
-        if self._condition is not None and self._refuses(trial, self._condition):
+        trial = ask(self._study, self._space, self._terms.seed, first=self._first)
+        if self._refuses(trial):
             return
         costs, value = np.empty(0), WORST
         for first, end in pairwise((0, *RUNGS)):
@@ -267,10 +248,12 @@ class _Search:
             trial.set_user_attr(_COSTS, costs.tolist())
         self._study.tell(trial, value)
 
-    def _refuses(self, trial: optuna.Trial, condition: MarginCondition) -> bool:
+    def _refuses(self, trial: optuna.Trial) -> bool:
         """Whether a proposal falls short of the margins; by how much is noted with the trial, which then ends."""
+        if self._terms.condition is None:
+            return False
         try:
-            shortfall = condition.shortfall(self._tunable.controller(rounded(trial.params, self._tunable.gains)))
+            shortfall = self._terms.condition.shortfall(self._controller(trial.params))
         except Exception:  # whatever it is, these gains are no good
             shortfall = _WITHOUT_LOOP
         trial.set_constraint("margins", shortfall)
@@ -311,12 +294,11 @@ class _Search:
 
     def _costs(self, params: dict[str, float], seed: int, arms: int) -> Floats:
         """Costs of arms with consecutive seeds, averages over their moves."""
-        moves = self._moves
+        moves = self._terms.moves
         self.steps += arms * moves * EPISODE_STEPS
         try:
-            controller = self._tunable.controller(rounded(params, self._tunable.gains))
             with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
-                run = rollout(controller, arms, seed=seed, randomization="train", moves=moves)
+                run = rollout(self._controller(params), arms, seed=seed, randomization="train", moves=moves)
             costs = np.minimum(run.over_moves(run.cost), WORST)
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
@@ -324,6 +306,9 @@ class _Search:
             raise _FailureError(f"{type(error).__name__}: {error}") from error
         self._report()
         return costs
+
+    def _controller(self, params: dict[str, float]) -> Controller:
+        return self._tunable.controller(rounded(params, self._tunable.gains))
 
     def _report(self) -> None:
         """Tell how far the search is, and end if asked to."""

@@ -1,9 +1,8 @@
 """Optuna studies in journals that go on after an interruption as if there had been none.
 
-Optuna keeps the trials, proposes and prunes. Three things are added. A process locks its journal, since Optuna lets
-several write to one. A line that was cut off is taken away, since Optuna would write on in it. And a trial that was
-interrupted is run again: Optuna's `RetryHeartbeatStaleTrialCallback` does that in databases alone, after a wait for a
-heartbeat.
+Three things are added to Optuna. A process locks its journal, since Optuna lets several write to one. A line that was
+cut off is taken away, since Optuna would write on in it. And a trial that was interrupted is run again: Optuna's
+`RetryHeartbeatStaleTrialCallback` does that in databases alone, after a wait for a heartbeat.
 """
 
 from __future__ import annotations
@@ -42,7 +41,8 @@ def own(journal: Path) -> Iterator[None]:
         raise ValueError(f"another process tunes with {journal}: wait for it, or choose another folder") from None
     try:
         Path(f"{journal}.lock").unlink(missing_ok=True)  # Optuna's own, left by a process that was killed
-        _cut_half_line(journal)
+        if journal.exists() and _is_journal(journal):
+            os.truncate(journal, journal.read_bytes().rfind(b"\n") + 1)  # without the line in which it was killed
         yield
     finally:
         lock.release()
@@ -88,14 +88,16 @@ def open_study(
         raise ValueError(f"{journal} is damaged ({error}): {remedy}") from None
     noted = study.user_attrs.get("begun", begun)
     if noted != begun:
-        raise ValueError(f"{journal} was started with {_differing(noted, begun)}: {remedy}")
+        other = [name for name in begun if noted.get(name) != begun[name]]
+        differing = ", ".join(f"{name} {noted.get(name)}, not {begun[name]}" for name in other)
+        raise ValueError(f"{journal} was started with {differing}: {remedy}")
     study.set_user_attr("begun", dict(begun))
     return study
 
 
 def ask(
     study: optuna.Study,
-    space: dict[str, BaseDistribution],
+    space: Mapping[str, BaseDistribution],
     seed: int,
     worker: int = 0,
     first: Sequence[dict[str, float]] = (),
@@ -106,25 +108,23 @@ def ask(
         study.enqueue_trial(first[at])
     seeds = np.random.SeedSequence([seed, worker, at])
     study.sampler = optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
-    trial = study.ask(space)
+    trial = study.ask(dict(space))
     trial.set_user_attr(_WORKER, worker)
     return trial
 
 
-def repeat_later(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
-    """Mark a trial that was interrupted as failed, and let another one wait with its settings and its place."""
-    at = place(study, trial)
-    study.tell(trial.number, state=TrialState.FAIL)
-    study.enqueue_trial(trial.params, user_attrs={_REPEATS: at})
-
-
 def repeat_interrupted(study: optuna.Study, worker: int | None = None) -> list[int]:
-    """Have the running trials of a worker that died repeated, or those of all; returns their places."""
+    """Mark running trials, of a worker that died or of all, as failed; others wait with their settings and places.
+
+    Returns:
+        The places.
+    """
     running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     left = [trial for trial in running if worker in (None, trial.user_attrs.get(_WORKER))]
     places = [place(study, trial) for trial in left]
-    for trial in left:
-        repeat_later(study, trial)
+    for trial, at in zip(left, places, strict=True):
+        study.tell(trial.number, state=TrialState.FAIL)
+        study.enqueue_trial(trial.params, user_attrs={_REPEATS: at})
     return places
 
 
@@ -138,20 +138,9 @@ def _places(study: optuna.Study, before: int | None = None) -> int:
     return sum(_REPEATS not in trial.user_attrs for trial in study.get_trials(deepcopy=False)[:before])
 
 
-def _differing(noted: Mapping[str, Any], begun: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {noted.get(name)}, not {begun[name]}" for name in begun if noted.get(name) != begun[name])
-
-
 def _is_journal(file: Path) -> bool:
     """Whether a file holds the lines of a journal, or nothing yet."""
     if not file.exists():
         return True
     with file.open("rb") as content:
         return content.read(1) in (b"", b"{")
-
-
-def _cut_half_line(journal: Path) -> None:
-    """Take away the line in which a process was killed."""
-    if journal.exists() and _is_journal(journal):
-        written = journal.read_bytes()
-        os.truncate(journal, written.rfind(b"\n") + 1)

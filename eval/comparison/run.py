@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines import CONTROLLERS, DOMINATED
-from baselines.engines.options import LOCAL, Engine
+from baselines.engines.parallel import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts

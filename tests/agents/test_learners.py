@@ -186,7 +186,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
     begun_again(whole, 10_000)
     for looks in (15, 1, 8, 30, 2):
         begun_again(parts, looks)
-        ask(open_study(parts), SPACES["sac"], parts.seed)  # and never told
+        ask(begin(parts), SPACES["sac"], parts.seed)  # and never told
     tune(replace(parts, resume=True))
     studies = open_study(parts), open_study(whole)
     ours, theirs = ([(one.params, one.value, one.intermediate_values) for one in counted(each)] for each in studies)

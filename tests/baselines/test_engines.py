@@ -21,9 +21,8 @@ from waiting import until
 
 from baselines.engines import workplace
 from baselines.engines.isolated import run_isolated
-from baselines.engines.options import WithStorage
 from baselines.engines.parallel import BrokenOff, Channel, Engine, StopRequest, stop_on_signals
-from baselines.engines.workplace import Workplace
+from baselines.engines.workplace import WithStorage, Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -25,7 +25,7 @@ from baselines.loops.condition import MarginCondition
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning import search as race
-from baselines.tuning.search import RUNGS, SearchProgress, least_budget, open_search, search, split_budget
+from baselines.tuning.search import RUNGS, SearchProgress, Terms, open_search, search, split_budget
 from baselines.tuning.study import begin_anew, own
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
@@ -33,7 +33,7 @@ from beltarm_env.engine.library import ANNOUNCEMENT
 SCRIPT = str(Path(__file__).resolve().parents[2] / "baselines/tune.py")
 NAMES = tuple(TUNABLE)[:2]
 BATCH = RUNGS[0] * EPISODE_STEPS
-MIN_BUDGET = least_budget()
+MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
 
 
 @dataclass(frozen=True)
@@ -107,17 +107,17 @@ def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
 
 def test_a_search_keeps_its_budget_and_helps(tmp_path: Path):
     moves, reported = 2, list[SearchProgress]()
-    budget = 3 * least_budget(moves) + 1
+    budget = 3 * moves * MIN_BUDGET + 1
     Counting.steps = 0
-    first = search(KIND, budget, 3, tmp_path / "journal", Channel(reported.append), moves=moves)
+    first = search(KIND, Terms(budget, 3, moves), tmp_path / "journal", Channel(reported.append))
     assert first.steps == Counting.steps == reported[-1].steps <= budget
     assert split_budget(budget, moves)[0] - RUNGS[-1] * moves * EPISODE_STEPS < reported[-1].steps
     assert first.trials == reported[-1].trials and first.failed == 0
     assert first.cost < first.cost_untuned and 0 < first.pruned < first.trials
 
 
-def finished(kind: type[Gains], seed: int, journal: Path) -> list[tuple[Any, ...]]:
-    trials = open_search(kind, seed, journal).get_trials(states=(TrialState.COMPLETE,))
+def finished(kind: type[Gains], journal: Path) -> list[tuple[Any, ...]]:
+    trials = open_search(kind, Terms(0), journal).get_trials(states=(TrialState.COMPLETE,))
     return [(trial.params, trial.value, trial.intermediate_values) for trial in trials]
 
 
@@ -126,30 +126,30 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     journal, budget = tmp_path / "journal", 4 * MIN_BUDGET
     for calls in (0, 2, 3):
         with pytest.raises(KeyboardInterrupt):
-            search(KIND, budget, 0, journal, interrupted_after(calls, []))
+            search(KIND, Terms(budget), journal, interrupted_after(calls, []))
     Counting.steps = 0
-    result = search(KIND, budget, 0, journal)
+    result = search(KIND, Terms(budget), journal)
     assert result.steps <= budget
     assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
-    search(KIND, budget + MIN_BUDGET, 0, tmp_path / "whole")
-    ours, theirs = (finished(OneGain, 0, path) for path in (journal, tmp_path / "whole"))
+    search(KIND, Terms(budget + MIN_BUDGET), tmp_path / "whole")
+    ours, theirs = (finished(OneGain, path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
-    assert search(KIND, budget, 0, journal) == result and Counting.steps == 0
+    assert search(KIND, Terms(budget), journal) == result and Counting.steps == 0
     for other, seed, words in ((MIN_BUDGET, 0, "--budget"), (budget, 1, "seed 0, not 1")):
-        refused(ValueError, (words,), partial(search, KIND, other, seed, journal))
+        refused(ValueError, (words,), partial(search, KIND, Terms(other, seed), journal))
 
 
 def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path):
     journal = tmp_path / "journal"
-    result = search(KIND, MIN_BUDGET, 0, journal)
+    result = search(KIND, Terms(MIN_BUDGET), journal)
     written = journal.read_bytes()
     for end in (len(written) - 1, written.index(b"\n") + 100, written.index(b"\n") - 1):
         journal.write_bytes(written[:end])
-        assert all(search(KIND, MIN_BUDGET, 0, journal).gains == result.gains for _ in range(2))
+        assert all(search(KIND, Terms(MIN_BUDGET), journal).gains == result.gains for _ in range(2))
     for damage in ("notes of somebody", "not a journal\n" * 2):
         journal.write_text(damage)
-        refused(ValueError, (str(journal), "damaged"), lambda: search(KIND, MIN_BUDGET, 0, journal))
+        refused(ValueError, (str(journal), "damaged"), lambda: search(KIND, Terms(MIN_BUDGET), journal))
         assert journal.read_text() == damage
 
 
@@ -159,7 +159,7 @@ def test_journal_of_another_search_is_left_alone(tmp_path: Path):
     with own(journal):
         journal.write_text("theirs")
         optuna_lock.write_text("")
-        for attempt in (lambda: search(KIND, MIN_BUDGET, 0, journal), lambda: begin_anew(journal)):
+        for attempt in (lambda: search(KIND, Terms(MIN_BUDGET), journal), lambda: begin_anew(journal)):
             refused(ValueError, ("another process", str(journal)), attempt)
         assert journal.read_text() == "theirs" and optuna_lock.exists()
     begin_anew(journal)
@@ -167,7 +167,7 @@ def test_journal_of_another_search_is_left_alone(tmp_path: Path):
 
 
 def test_controllers_that_fail_are_survived_but_not_untuned(tmp_path: Path):
-    actual = search(Tunable(Fragile, OneGain), 4 * MIN_BUDGET, 0, tmp_path / "journal")
+    actual = search(Tunable(Fragile, OneGain), Terms(4 * MIN_BUDGET), tmp_path / "journal")
     assert actual.failed > 0 and 0.03 <= actual.gains["vibration"] <= 0.3
     assert actual.steps <= 4 * MIN_BUDGET
     for kind, condition, words in (
@@ -175,23 +175,23 @@ def test_controllers_that_fail_are_survived_but_not_untuned(tmp_path: Path):
         (GUARDED, MarginCondition(modulus=0.9), ("modulus=", "TwoGains")),
     ):
         path = tmp_path / kind.gains.__name__
-        refused(ValueError, words, partial(search, kind, MIN_BUDGET, 0, path, condition=condition))
+        refused(ValueError, words, partial(search, kind, Terms(MIN_BUDGET, condition=condition), path))
 
 
 def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_falls_short(tmp_path: Path):
     condition, journal, progress = MarginCondition(), tmp_path / "journal", list[SearchProgress]()
     Watched.simulated.clear()
-    budget = 4 * MIN_BUDGET
+    terms = Terms(4 * MIN_BUDGET, condition=condition)
     with pytest.raises(KeyboardInterrupt):
-        search(GUARDED, budget, 0, journal, interrupted_after(11, progress), condition)
-    result = search(GUARDED, budget, 0, journal, condition=condition)
-    assert result.refused > 0 and result.steps <= budget
+        search(GUARDED, terms, journal, interrupted_after(11, progress))
+    result = search(GUARDED, terms, journal)
+    assert result.refused > 0 and result.steps <= terms.budget
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
     assert TwoGains(**result.gains) in Watched.simulated
     assert {condition.shortfall(Watched(gains)) for gains in Watched.simulated} == {0.0}
-    assert search(GUARDED, budget, 0, journal, condition=condition) == result
+    assert search(GUARDED, terms, journal) == result
     for other in (None, MarginCondition(modulus=0.3)):
-        refused(ValueError, ("margins",), partial(search, GUARDED, budget, 0, journal, condition=other))
+        refused(ValueError, ("margins",), partial(search, GUARDED, terms._replace(condition=other), journal))
 
 
 def test_laws_of_the_race():

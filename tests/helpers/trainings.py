@@ -49,13 +49,9 @@ class StopAfter(StopRequest):
         self.looks = looks
 
     @property
-    def made(self) -> bool:
+    def made(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.looks -= 1
         return self.looks < 0
-
-    @made.setter
-    def made(self, value: bool) -> None:
-        pass
 
 
 def weights(folder: Path) -> dict[str, bytes]:

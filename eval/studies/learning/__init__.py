@@ -22,9 +22,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from agents.policy.bundle import POLICIES
 from agents.residual.bases import make_base
 from agents.runs.checkpoint import CHECKPOINT
-from baselines.engines.options import WithStorage
 from baselines.engines.parallel import Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
-from baselines.engines.workplace import Workplace
+from baselines.engines.workplace import WithStorage, Workplace
 from baselines.tools.command import require_known
 from baselines.tools.files import require_writable
 from beltarm_env.task.seeds import ABLATIONS
