@@ -49,7 +49,6 @@ _PROVENANCE = {
     "validation_of_base": _NAMED_NUMBERS,
 }
 SCHEMA = object_of(
-    ("base_settings", "base_hash"),
     algorithm={"enum": list(ALGORITHMS)},
     base={"enum": list(BASES)},
     residual=object_of(limit=NUMBER, hold=INTEGER, knowledge=TEXT) | {"additionalProperties": False},

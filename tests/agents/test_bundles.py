@@ -181,6 +181,7 @@ def test_damaged_policies_are_refused(bundle: Path, damage: str):
 WRONG: list[tuple[dict[str, Any], str]] = [
     *[({name: value}, str(value)) for name in MADE_FOR for value in (None, "x", [2], {}, 99, NAN)],
     *[({name: value}, value) for name, value in [("algorithm", "dqn"), ("base", "lqr"), ("activation", "gelu")]],
+    *[({name: ...}, f"{name} must be there") for name in ("base_settings", "base_hash", "hidden")],
     ({"sensors": "sonar"}, "sonar"),
     ({"entries": []}, "entries"),
     ({"entries": [["tip_speed", "m/s", 1.0, 1.0]]}, "tip_speed"),
