@@ -131,6 +131,7 @@ def test_bad_training_options(trained: Path, tmp_path: Path, capsys: pytest.Capt
         (("--out", "/dev/null/run"), "/dev/null/run"),
         (("--out", "nowhere", "--resume"), "nowhere"),
         (("--out", str(trained), *TINY), "already holds a run"),
+        (("--out", str(trained / "best"), *TINY), "is the folder of a policy"),
     ):
         assert named in mistake(train_ppo, arguments, tmp_path)
         assert capsys.readouterr().out == "", "no progress is shown before"
