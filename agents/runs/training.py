@@ -95,7 +95,7 @@ class TrainingMonitor:
         config: Options of the run.
         folder: Where to save; the run goes on from a checkpoint there if it is to be resumed.
         channel: Gets news, twice a second at most, and after every validation; asks the run to stop.
-        command: What the policies' provenance says made them.
+        command: What began the run, or goes on with it. The policies' provenance has the one that began it.
     """
 
     def __init__(self, config: RunConfig, folder: RunFolder, channel: Channel, command: str) -> None:
@@ -109,7 +109,8 @@ class TrainingMonitor:
             self.progress = folder.load(self.learner.restore)
         folder.note(config, self.progress["curve"] if resumed else None)
         options = json.loads(json.dumps(asdict(config), default=str))
-        self.spec = config.spec(command=command, **written_by(), config=options)
+        begun_by = self.progress.setdefault("command", command)
+        self.spec = config.spec(command=begun_by, **written_by(), config=options)
         logs, suffix = str(folder.folder), f"_from_{self.learner.steps}" if resumed else ""
         self.logger = Logger(logs, [make_output_format(kind, logs, suffix) for kind in ("csv", "tensorboard")])
         self._report(self.learner.steps, self.progress["scores"] or "validating the base and the untrained policy")
@@ -223,7 +224,7 @@ def train(
     Args:
         config: Options.
         channel: Gets `News`; a request to stop saves what there is.
-        command: What the policies' provenance says made them; by default the command of this process.
+        command: What began the run, or goes on with it; by default the command of this process.
         place: Folder to work in, where that is not `config.out`: on another machine.
 
     Returns:
