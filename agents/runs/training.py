@@ -107,6 +107,12 @@ class TrainingMonitor:
         resumed = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
         if resumed:
             self.progress = folder.load(self.learner.restore)
+            if config.length < min(self.learner.steps, self.progress.get("length", 0)):  # a rollout may go beyond it
+                raise ValueError(
+                    f"the run in {folder.folder} has {self.learner.steps} agent steps already, and was to end at "
+                    f"{config.length}: give a larger --total-steps or --rounds"
+                )
+        self.progress["length"] = config.length
         folder.note(config, self.progress["curve"] if resumed else None)
         options = json.loads(json.dumps(asdict(config), default=str))
         begun_by = self.progress.setdefault("command", command)
