@@ -23,7 +23,7 @@ from agents.policy.weights import Weights
 from agents.residual.bases import make_base
 from agents.residual.controller import Policy, ResidualController
 from agents.tensor_file import MAX_BYTES, packed, unpacked
-from baselines.tools.files import read_regular, write_atomically, write_text
+from baselines.tools.files import read_regular, write_bytes, write_text
 from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Singles
 
@@ -54,7 +54,7 @@ def save_bundle(folder: Path, spec: BundleSpec, weights: Weights) -> None:
     content = spec.content()
     data = packed("policy", content, weights.arrays)
     write_text(folder / CARD, card(content))
-    write_atomically(folder / POLICY_FILE, lambda temporary: temporary.write_bytes(data))
+    write_bytes(folder / POLICY_FILE, data)
 
 
 def annotate(folder: Path, **provenance: Any) -> None:
