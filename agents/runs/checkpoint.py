@@ -32,8 +32,8 @@ from filelock import FileLock, Timeout
 
 from agents.runs.settings import RunConfig
 from baselines.tools.files import read_sealed, read_text, require_writable, write_sealed, write_text
+from baselines.tools.options import note_options
 from baselines.tools.provenance import software
-from baselines.tools.resuming import note_options
 from baselines.tools.schema import in_a_line, loads
 
 VERSION = 6

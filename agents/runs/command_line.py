@@ -24,10 +24,9 @@ from baselines.engines.parallel import Channel, Failure, Interrupted, StopReques
 from baselines.engines.workplace import Workplace
 from baselines.tools.command import one_line_errors, resume_command, this_python
 from baselines.tools.files import require_writable
-from baselines.tools.options import parse
+from baselines.tools.options import note_options, noted_options, parse
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
-from baselines.tools.resuming import note_options, noted_options
 
 
 def main(kind: type[RunConfig], description: str | None) -> None:

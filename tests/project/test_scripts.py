@@ -22,8 +22,7 @@ from agents.learners import ppo
 from agents.runs.checkpoint import COMMAND, RunFolder
 from agents.runs.command_line import begun_options, main
 from baselines.tools.command import this_python
-from baselines.tools.options import parse
-from baselines.tools.resuming import note_options
+from baselines.tools.options import note_options, parse
 from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
