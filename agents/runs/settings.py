@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 
-from agents.policy.card import POLICY_FILE
+from agents.policy.bundle import POLICY_FILE
 from agents.policy.description import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings

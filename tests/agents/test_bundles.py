@@ -18,8 +18,7 @@ from bundles import SPEC, Exploit, edit, new_weights
 from refusals import refused
 from safetensors.numpy import save
 
-from agents.policy.bundle import CARD, POLICY_FILE, annotate, load_controller, read_bundle, read_spec, save_bundle
-from agents.policy.card import card
+from agents.policy.bundle import CARD, POLICY_FILE, annotate, card, load_controller, read_bundle, read_spec, save_bundle
 from agents.policy.description import MADE_FOR, BundleError, BundleSpec
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base, settings_hash
