@@ -42,9 +42,9 @@ class Standardised(nn.Module):
         self.mean, deviation = flat.mean(dim=0), flat.std(dim=0)
         self.deviation = torch.where(deviation < _LEAST_DEVIATION, _UNUSED, deviation)
 
-    def standardised(self, inputs: torch.Tensor, part: slice = slice(None)) -> torch.Tensor:
-        """Standardise a part of the inputs, cut at `FARTHEST` deviations."""
-        return ((inputs - self.mean[part]) / self.deviation[part]).clamp(-FARTHEST, FARTHEST)
+    def standardised(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Standardise inputs, cut at `FARTHEST` deviations."""
+        return ((inputs - self.mean) / self.deviation).clamp(-FARTHEST, FARTHEST)
 
 
 class Actor(Standardised):

@@ -34,6 +34,7 @@ _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}
 _ENTRY = {"type": "array", "prefixItems": [TEXT, TEXT, NUMBER, NUMBER], "minItems": 4, "maxItems": 4}
 _MOVES = INTEGER | {"minimum": 1, "maximum": MOST_MOVES}
+_SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
 _NAMED_NUMBERS = {"type": "object", "propertyNames": {"pattern": r"^\w+\Z"}, "additionalProperties": NUMBER}
 _PROVENANCE = {
     "command": TEXT,
@@ -66,9 +67,6 @@ SCHEMA = object_of(
 """JSON Schema (2020-12) of a description; what it names in `provenance` may lack."""
 
 
-_SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
-
-
 class BundleError(ValueError):
     """Error about a policy that is missing, damaged or of another format."""
 
@@ -94,15 +92,15 @@ class BundleSpec:
         """All entries that a policy with these sensors and this knowledge can be given."""
         return (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])
 
-    def columns(self) -> list[int] | None:
-        """Place of each of the policy's inputs in what is offered; None if it is given all."""
+    def columns(self) -> list[int]:
+        """Place of each of the policy's inputs in what is offered."""
         names = [entry.name for entry in self.offered()]
-        return None if self.inputs is None else [names.index(name) for name in self.inputs]
+        return [names.index(name) for name in self.inputs or names]
 
     def entries(self) -> list[list[Any]]:
         """Name, unit, scale and bound of the policy's inputs, in order."""
-        offered, columns = self.offered(), self.columns()
-        return [list(offered[k]) for k in (range(len(offered)) if columns is None else columns)]
+        offered = self.offered()
+        return [list(offered[k]) for k in self.columns()]
 
     def shape(self) -> ActorShape:
         """Layers of the policy's network.

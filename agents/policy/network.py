@@ -62,7 +62,7 @@ class NetworkPolicy:
         self.observed = shape.inputs if observed is None else observed
         self.columns = np.arange(self.observed) if columns is None else np.array(columns)
         """Place of each input in the observation."""
-        self._picks = columns is not None
+        self._picks = not np.array_equal(self.columns, np.arange(self.observed))
         self.network = _network(weights)
         self.memory = shape.memory
         """Shape of a row's memory."""

@@ -22,27 +22,31 @@ from agents.runs.settings import RunConfig
 from agents.runs.training import News, train
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import Workplace
-from baselines.tools.command import one_line_errors, resume_command, this_python
+from baselines.tools.command import resume_command, run_command, this_python
 from baselines.tools.files import require_writable
-from baselines.tools.options import note_options, noted_options, parse
+from baselines.tools.options import note_options, noted_options
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
 
 
 def main(kind: type[RunConfig], description: str | None) -> None:
     """Run a training script with its options, and what `--help` says of it."""
-    script = f"train/{kind.algorithm}.py"
-    with one_line_errors(script):
-        config = parse(kind, description, begun=begun_options)
-        try:
-            config.check()
-            _run(config, Console())
-        except Interrupted as interruption:
-            print(f"{interruption}; to continue:\n  {resume_command(script)}")
-            sys.exit(130)
-        except KeyboardInterrupt:
-            print(f"stopped at once; to continue from the last checkpoint:\n  {resume_command(script)}")
-            sys.exit(130)
+    run_command(f"train/{kind.algorithm}.py", kind, run, description, begun_options)
+
+
+def run(config: RunConfig) -> None:
+    """Run the trainings of a command; an interruption says how to go on."""
+    config.check()
+    try:
+        _run(config, Console())
+    except Interrupted as interruption:
+        said = str(interruption)
+    except KeyboardInterrupt:
+        said = "stopped at once, with what the last checkpoint has"
+    else:
+        return
+    print(f"{said}; to continue:\n  {resume_command(f'train/{config.algorithm}.py')}")
+    sys.exit(130)
 
 
 def begun_options(config: RunConfig) -> dict[str, Any]:

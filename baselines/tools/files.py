@@ -17,8 +17,6 @@ import numpy as np
 from safetensors.numpy import load, save
 
 _MARK = b"sha256:"  # before the hash at the end of a file
-LARGEST = 1 << 34
-"""Bytes of the largest file that is read: more than any that was written here."""
 _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
 
 
@@ -139,12 +137,12 @@ def require_writable(folder: Path) -> None:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
 
 
-def read_regular(path: Path, most: int = LARGEST) -> bytes:
+def read_regular(path: Path, most: int = 1 << 34) -> bytes:
     """Read a file that others may have made: reading a device or a pipe need not come to an end.
 
     Args:
         path: Its path; a link to a file will do.
-        most: Bytes that it may have.
+        most: Bytes that it may have; by default more than any file that was written here.
 
     Raises:
         OSError: If it cannot be read, is no regular file, or has more bytes.
