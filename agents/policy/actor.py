@@ -116,12 +116,7 @@ def pairs_of(actor: Actor, policy: Any) -> list[tuple[nn.Module, nn.Module]]:
 
 
 class Regression:
-    """A network that is fitted by gradient steps (Adam), and the running average of its weights, by which it acts.
-
-    Args:
-        network: Untrained.
-        max_gradient: Norm to which a gradient is cut.
-    """
+    """Fit of a network by gradient steps (Adam), cut at a norm; it acts by the running average of its weights."""
 
     def __init__(self, network: nn.Module, max_gradient: float) -> None:
         self.network: Any = network

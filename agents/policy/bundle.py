@@ -143,11 +143,7 @@ def _are_alike(spec: BundleSpec, other: BundleSpec) -> bool:
 
 
 class PoliciesSideBySide:
-    """Policies of which each has an equal share of the rows, in order.
-
-    Args:
-        policies: At least one, all with memories of one shape, rows first, or none of them with any.
-    """
+    """Policies of one build, of which each has an equal share of the rows, in order."""
 
     def __init__(self, policies: Sequence[Policy]) -> None:
         self.policies = tuple(policies)

@@ -126,11 +126,7 @@ class BundleSpec:
 
 
 def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
-    """Read a description as JSON has it.
-
-    Args:
-        content: The description.
-        path: Its file, for messages.
+    """Read a description as JSON has it, of the file `path`.
 
     Raises:
         BundleError: If it is foreign, of another release, or was trained on another base.

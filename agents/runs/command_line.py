@@ -149,17 +149,7 @@ def compare_command(policies: Sequence[Path]) -> str:
 def run_in(config: RunConfig, command: str, folder: Path, channel: Channel) -> News:
     """Train in a folder, as a task: begun again after its process died, it goes on from its checkpoint.
 
-    Args:
-        config: Options.
-        command: What the run was started with.
-        folder: Where to work.
-        channel: Gets `News`.
-
-    Returns:
-        How far the run has come.
-
-    Raises:
-        Interrupted, ValueError, OSError: As `train` does.
+    Returns how far the run has come; raises the errors of `train`.
     """
     resume = config.resume or RunFolder(folder).checkpoint.exists()
     own = replace(config, resume=resume, overwrite=False, jobs=None, engine="local", address=None, storage=None)

@@ -21,13 +21,9 @@ _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any mo
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it to `path`.
+    """Let `write` fill a temporary file beside `path`, whose folder is created, then rename it to `path`.
 
     Temporary files of processes that were killed meanwhile are removed by a later call for the same path.
-
-    Args:
-        path: The file to create or replace; its folder is created.
-        write: Called with the temporary path.
 
     Raises:
         OSError: If the folder cannot be written to or is full, naming `path`, which is then as it was.
@@ -140,12 +136,8 @@ def require_writable(folder: Path) -> None:
 def read_regular(path: Path, most: int = 1 << 34) -> bytes:
     """Read a file that others may have made: reading a device or a pipe need not come to an end.
 
-    Args:
-        path: Its path; a link to a file will do.
-        most: Bytes that it may have; by default more than any file that was written here.
-
     Raises:
-        OSError: If it cannot be read, is no regular file, or has more bytes.
+        OSError: If it cannot be read, is no regular file, or has more than `most` bytes.
     """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(handle, "rb") as file:

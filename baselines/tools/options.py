@@ -39,14 +39,10 @@ def parse(
     arguments: Sequence[str] | None = None,
     begun: Callable[[_Config], Mapping[str, Any]] | None = None,
 ) -> _Config:
-    """Read options from the command line.
+    """Read options, a dataclass, from the command line.
 
-    Args:
-        kind: The options, a dataclass.
-        description: What `--help` begins with; by default the docstring of `kind`.
-        arguments: Arguments to read instead of the command line's.
-        begun: Gives, from the options that are given, those that the work to go on with was begun with: they stand for
-            those that are not given.
+    `--help` begins with the description, by default the docstring of `kind`. From the options that are given, `begun`
+    gives those that the work to go on with was begun with: they stand for those that are not given.
 
     Raises:
         SystemExit: After `--help`, and for arguments that are no options.
@@ -148,12 +144,7 @@ def noted_options(path: Path, *but: str) -> dict[str, Any]:
 
 
 def _as_arguments(kind: type[Any], options: Mapping[str, Any]) -> list[str]:
-    """Return options as arguments of a command line, but for defaults, and for names that the command does not know.
-
-    Args:
-        kind: Options of a command, a dataclass.
-        options: By name, as JSON has them. None of a positional argument.
-    """
+    """Return options, as JSON has them, as arguments of a command line, but for defaults and unknown names."""
     arguments = list[str]()
     for each in fields(kind):
         value, name = options.get(each.name), each.name.replace("_", "-")
