@@ -57,15 +57,8 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
     """
     if not config.resume:
         return config.usual()
-    own = ("out", "resume", "overwrite")
-    for path, but in (
-        (config.out / COMMAND, own),
-        (config.out / CONFIG, own),
-        (config.out / f"seed{config.seed}" / CONFIG, (*own, "seed", "seeds")),
-    ):
-        if options := noted_options(path, *but):
-            return options
-    return {}
+    command = config.out / COMMAND  # else a run that another program began
+    return noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
 
 
 def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
