@@ -168,7 +168,7 @@ class PoliciesSideBySide:
             return [None] * count if values is None else np.split(values, count)
 
         parts = zip(self.policies, shares(observation), shares(state), shares(episode_start), strict=True)
-        answers = [policy.predict(*own, deterministic) for policy, *own in parts]
+        answers = [policy.predict(seen, memory, begins, deterministic) for policy, seen, memory, begins in parts]
         residuals, memories = zip(*answers, strict=True)
         return np.concatenate(residuals), None if memories[0] is None else np.concatenate(memories)
 
