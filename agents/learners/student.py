@@ -20,7 +20,7 @@ it works where reinforcement learning does not:
 - A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
-(`agents.policy.regression`); the learning rate falls to zero over the run.
+(`agents.policy.actor`); the learning rate falls to zero over the run.
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
 Online Learning, AISTATS 2011.
@@ -38,9 +38,8 @@ import torch
 from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Advice, Recorder, advise
-from agents.policy.actor import Actor
+from agents.policy.actor import Actor, Regression
 from agents.policy.network import NetworkPolicy
-from agents.policy.regression import Regression
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.settings import RunConfig, task_of

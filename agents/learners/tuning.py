@@ -43,8 +43,7 @@ from baselines.engines.parallel import (
 )
 from baselines.tools.command import require_bounds, this_python
 from baselines.tools.files import require_writable
-from baselines.tools.options import Groups
-from baselines.tools.resuming import note_options, noted_options
+from baselines.tools.options import Groups, note_options, noted_options
 from baselines.tuning import study as studies
 
 _FIRST_SEED, _SEEDS = 50, 50  # training seeds of trials; a run to be reported has one below

@@ -18,7 +18,7 @@ from agents.observer.quantities import QUANTITIES
 from agents.residual.bases import base_settings, settings_hash
 from agents.tensor_file import packed, read_packed
 from baselines.tools.command import this_python
-from baselines.tools.files import write_atomically
+from baselines.tools.files import write_bytes
 from baselines.tools.schema import in_a_line
 from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
@@ -63,7 +63,7 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
         "provenance": provenance,
     }
     data = packed("observer", content, tensors)
-    write_atomically(path, lambda temporary: temporary.write_bytes(data))
+    write_bytes(path, data)
 
 
 def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer, dict[str, Any]]:

@@ -28,8 +28,8 @@ import beltarm_env
 from agents.observer.episodes import STUDENT, Episodes, simulate_block
 from agents.observer.files import save_observer
 from agents.observer.network import Observer
+from agents.policy.actor import Regression
 from agents.policy.bundle import read_spec
-from agents.policy.regression import Regression
 from agents.residual.knowledge import Knowledge
 from agents.runs.checkpoint import written_by
 from baselines.engines.parallel import Channel, Failure, run_side_by_side

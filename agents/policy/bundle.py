@@ -3,34 +3,50 @@
     policy.safetensors   weights of the network that acts; in the header what the policy is, with a SHA-256 of both
     README.md            the same as a card to read; it is not read here
 
-See `agents.tensor_file`, `agents.policy.description` and `agents.policy.card`. A policy is either what was saved or
-refused. Replacing its file is the instant at which it is replaced.
+See `agents.tensor_file` and `agents.policy.description`. A policy is either what was saved or refused. Replacing its
+file is the instant at which it is replaced.
+
+The card is Markdown after YAML for the Hugging Face Hub, with the fields of `huggingface_hub.ModelCardData`. That class
+is not used, since training needs no package of the Hub: it writes the scores of an offered policy (`eval.exports.hub`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jinja2
 import numpy as np
+import yaml
 
-from agents.policy.card import CARD, POLICY_FILE, card
 from agents.policy.description import BundleError, BundleSpec, spec_of
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
 from agents.residual.bases import make_base
 from agents.residual.controller import Policy, ResidualController
 from agents.tensor_file import MAX_BYTES, packed, unpacked
-from baselines.tools.files import read_regular, write_atomically, write_text
+from baselines.tools.files import read_regular, write_bytes, write_text
 from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Singles
+from beltarm_env.task.ranges import resolve_ranges
+from beltarm_env.timing import CONTROL_PERIOD
 
 POLICIES = Path(__file__).resolve().parents[1] / "policies"
 """Folder of the shipped policies that see the encoder alone: METHOD/SEED, each the folder of a policy."""
 ACCELEROMETER_POLICIES = POLICIES.with_name("policies_accelerometer")
 """Folder of those that have an accelerometer, which are ranked with none of the others."""
+ENVIRONMENT = "BeltArm-v0"
+POLICY_FILE = "policy.safetensors"
+CARD = "README.md"
+_ROWS = 12  # of the learning curve
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).parent),
+    keep_trailing_newline=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+)
 
 
 class Bundle(NamedTuple):
@@ -54,7 +70,7 @@ def save_bundle(folder: Path, spec: BundleSpec, weights: Weights) -> None:
     content = spec.content()
     data = packed("policy", content, weights.arrays)
     write_text(folder / CARD, card(content))
-    write_atomically(folder / POLICY_FILE, lambda temporary: temporary.write_bytes(data))
+    write_bytes(folder / POLICY_FILE, data)
 
 
 def annotate(folder: Path, **provenance: Any) -> None:
@@ -127,11 +143,7 @@ def _are_alike(spec: BundleSpec, other: BundleSpec) -> bool:
 
 
 class PoliciesSideBySide:
-    """Policies of which each has an equal share of the rows, in order.
-
-    Args:
-        policies: At least one, all with memories of one shape, rows first, or none of them with any.
-    """
+    """Policies of one build, of which each has an equal share of the rows, in order."""
 
     def __init__(self, policies: Sequence[Policy]) -> None:
         self.policies = tuple(policies)
@@ -151,12 +163,63 @@ class PoliciesSideBySide:
         rows, count = len(observation), len(self.policies)
         if rows % count:
             raise ValueError(f"{count} policies share rows equally, got {rows}: give a multiple of {count}")
-        residuals, memories = [], []
-        for k, policy in enumerate(self.policies):
-            share = slice(k * rows // count, (k + 1) * rows // count)
-            begins = None if episode_start is None else episode_start[share]
-            memory = None if state is None else state[share]
-            residual, following = policy.predict(observation[share], memory, begins, deterministic)
-            residuals.append(residual)
-            memories.append(following)
+
+        def shares(values: Any) -> Any:
+            return [None] * count if values is None else np.split(values, count)
+
+        parts = zip(self.policies, shares(observation), shares(state), shares(episode_start), strict=True)
+        answers = [policy.predict(seen, memory, begins, deterministic) for policy, seen, memory, begins in parts]
+        residuals, memories = zip(*answers, strict=True)
         return np.concatenate(residuals), None if memories[0] is None else np.concatenate(memories)
+
+
+# Card
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What a card says besides the description, of a policy that is offered to others."""
+
+    repo_id: str = ""  # ORG/NAME on the Hub
+    license: str = ""  # as the Hub names it, such as "mit"
+    scores: str = ""  # and where the policy loses: Markdown
+    citation: str = ""  # how to cite it: BibTeX
+
+
+def model_name(content: dict[str, Any]) -> str:
+    """Name of a policy as the Hub's agents are called, from its description."""
+    return f"{content['algorithm']}-{ENVIRONMENT}"
+
+
+def card(content: dict[str, Any], offer: Offer | None = None) -> str:
+    """Format a description as a card: what the policy is, how it is loaded, its training, and what is offered."""
+    offer, provenance = offer or Offer(), content["provenance"]
+    config, curve = provenance.get("config", {}), provenance.get("curve", [])
+    moves = config.get("moves", 1)
+    return _TEMPLATES.get_template("card.md.j2").render(
+        front_matter=yaml.safe_dump(front_matter(content, offer), sort_keys=False, allow_unicode=True),
+        environment=ENVIRONMENT,
+        period=CONTROL_PERIOD,
+        policy_file=POLICY_FILE,
+        policy=content,
+        residual=content["residual"],
+        provenance=provenance,
+        offer=offer,
+        software={"beltarm": provenance.get("version"), **provenance.get("versions", {})},
+        seed=config.get("seed"),
+        curve=[curve[k] for k in np.linspace(0, len(curve) - 1, min(len(curve), _ROWS)).round().astype(int)],
+        moves=moves,
+        ranges=resolve_ranges(config["randomization"], moves) if "randomization" in config else {},
+    )
+
+
+def front_matter(content: dict[str, Any], offer: Offer) -> dict[str, Any]:
+    """Fields that the Hub reads. A library is named whose interface the policy has, not one whose archive it is."""
+    learning = ["deep-reinforcement-learning", "reinforcement-learning", "residual-policy-learning"]
+    method = [content["algorithm"], f"residual-on-{content['base']}"]
+    return {
+        **({"license": offer.license} if offer.license else {}),
+        "library_name": "stable-baselines3",
+        "pipeline_tag": "reinforcement-learning",
+        "tags": [ENVIRONMENT, *learning, *method, "gymnasium", "robotics", "beltarm"],
+    }

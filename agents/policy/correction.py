@@ -103,11 +103,7 @@ def correct(
 
 
 def correction(controller: ResidualController, sensors: str = "encoder") -> CorrectionKernel:
-    """Constants and memory with which `correct` gives the residuals of a controller.
-
-    Args:
-        controller: Whose policy is a network.
-        sensors: Of its arm.
+    """Constants and memory with which `correct` gives the residuals of a controller on an arm with these sensors.
 
     Raises:
         TypeError: If the policy is no `NetworkPolicy`.

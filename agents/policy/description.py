@@ -34,6 +34,7 @@ _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}
 _ENTRY = {"type": "array", "prefixItems": [TEXT, TEXT, NUMBER, NUMBER], "minItems": 4, "maxItems": 4}
 _MOVES = INTEGER | {"minimum": 1, "maximum": MOST_MOVES}
+_SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
 _NAMED_NUMBERS = {"type": "object", "propertyNames": {"pattern": r"^\w+\Z"}, "additionalProperties": NUMBER}
 _PROVENANCE = {
     "command": TEXT,
@@ -49,7 +50,6 @@ _PROVENANCE = {
     "validation_of_base": _NAMED_NUMBERS,
 }
 SCHEMA = object_of(
-    ("base_settings", "base_hash"),
     algorithm={"enum": list(ALGORITHMS)},
     base={"enum": list(BASES)},
     residual=object_of(limit=NUMBER, hold=INTEGER, knowledge=TEXT) | {"additionalProperties": False},
@@ -65,9 +65,6 @@ SCHEMA = object_of(
     entries=list_of(_ENTRY) | {"minItems": 1},
 )
 """JSON Schema (2020-12) of a description; what it names in `provenance` may lack."""
-
-
-_SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
 
 
 class BundleError(ValueError):
@@ -95,15 +92,15 @@ class BundleSpec:
         """All entries that a policy with these sensors and this knowledge can be given."""
         return (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])
 
-    def columns(self) -> list[int] | None:
-        """Place of each of the policy's inputs in what is offered; None if it is given all."""
+    def columns(self) -> list[int]:
+        """Place of each of the policy's inputs in what is offered."""
         names = [entry.name for entry in self.offered()]
-        return None if self.inputs is None else [names.index(name) for name in self.inputs]
+        return [names.index(name) for name in self.inputs or names]
 
     def entries(self) -> list[list[Any]]:
         """Name, unit, scale and bound of the policy's inputs, in order."""
-        offered, columns = self.offered(), self.columns()
-        return [list(offered[k]) for k in (range(len(offered)) if columns is None else columns)]
+        offered = self.offered()
+        return [list(offered[k]) for k in self.columns()]
 
     def shape(self) -> ActorShape:
         """Layers of the policy's network.
@@ -129,11 +126,7 @@ class BundleSpec:
 
 
 def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
-    """Read a description as JSON has it.
-
-    Args:
-        content: The description.
-        path: Its file, for messages.
+    """Read a description as JSON has it, of the file `path`.
 
     Raises:
         BundleError: If it is foreign, of another release, or was trained on another base.

@@ -62,7 +62,7 @@ class NetworkPolicy:
         self.observed = shape.inputs if observed is None else observed
         self.columns = np.arange(self.observed) if columns is None else np.array(columns)
         """Place of each input in the observation."""
-        self._picks = columns is not None
+        self._picks = not np.array_equal(self.columns, np.arange(self.observed))
         self.network = _network(weights)
         self.memory = shape.memory
         """Shape of a row's memory."""
@@ -192,32 +192,20 @@ def _affine(inputs: Singles, size: int, weights: Singles, start: int, outputs: S
 
 
 @compiled
-def _gru(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
-    """Gated recurrent unit, as PyTorch has it: gates r, z and n side by side. Return where further weights begin."""
-    rows, size = inputs.shape
-    width, of_input, of_memory = net.memory_width, work[0], work[1]
-    start = _affine(inputs, size, net.weights, 0, of_input, 3 * width, rows)
-    start = _affine(memory, width, net.weights, start, of_memory, 3 * width, rows)
-    for r in range(rows):
+def _gru(width: int, of_input: Singles, of_memory: Singles, memory: Singles) -> None:
+    """Step of a gated recurrent unit, as PyTorch has it: gates r, z and n side by side."""
+    for r in range(len(memory)):
         for j in range(width):
             reset = _sigmoid(np.float64(of_input[r, j]) + np.float64(of_memory[r, j]))
             update = _sigmoid(np.float64(of_input[r, width + j]) + np.float64(of_memory[r, width + j]))
             new = _tanh(np.float64(of_input[r, 2 * width + j]) + reset * np.float64(of_memory[r, 2 * width + j]))
             memory[r, j] = (1 - update) * new + update * np.float64(memory[r, j])
-    return start
 
 
 @compiled
-def _lstm(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
-    """Long short-term memory, as PyTorch has it: gates i, f, g and o side by side; hidden state, then cell state.
-
-    Return where further weights begin.
-    """
-    rows, size = inputs.shape
-    width, of_input, of_memory = net.memory_width, work[0], work[1]
-    start = _affine(inputs, size, net.weights, 0, of_input, 4 * width, rows)
-    start = _affine(memory, width, net.weights, start, of_memory, 4 * width, rows)
-    for r in range(rows):
+def _lstm(width: int, of_input: Singles, of_memory: Singles, memory: Singles) -> None:
+    """Step of a long short-term memory, as PyTorch has it: gates i, f, g and o; hidden state, then cell state."""
+    for r in range(len(memory)):
         for j in range(width):
             input_gate = _sigmoid(np.float64(of_input[r, j]) + np.float64(of_memory[r, j]))
             forget_gate = _sigmoid(np.float64(of_input[r, width + j]) + np.float64(of_memory[r, width + j]))
@@ -226,7 +214,6 @@ def _lstm(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
             cell = forget_gate * np.float64(memory[r, width + j]) + input_gate * new
             memory[r, width + j] = cell
             memory[r, j] = output_gate * _tanh(cell)
-    return start
 
 
 @compiled
@@ -246,10 +233,14 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
             for k in range(size):
                 inputs[r, k] = cut(float((inputs[r, k] - net.mean[k]) / net.deviation[k]), FARTHEST)
     start, last = 0, len(net.widths) - 1
-    if net.kind == _GRU:
-        start = _gru(net, inputs, memory, work)
-    elif net.kind == _LSTM:
-        start = _lstm(net, inputs, memory, work)
+    if net.kind != _FEEDFORWARD:
+        gates = (4 if net.kind == _LSTM else 3) * net.memory_width
+        start = _affine(inputs, size, net.weights, 0, work[0], gates, rows)
+        start = _affine(memory, net.memory_width, net.weights, start, work[1], gates, rows)
+        if net.kind == _LSTM:
+            _lstm(net.memory_width, work[0], work[1], memory)
+        else:
+            _gru(net.memory_width, work[0], work[1], memory)
     seen = 0 if net.kind == _LSTM else size  # entries of the first layer that are inputs; the memory follows
     for r in range(rows):
         for k in range(seen):

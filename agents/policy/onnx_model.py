@@ -27,7 +27,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from agents.policy.bundle import read_bundle
 from agents.policy.weights import FARTHEST, Weights
-from baselines.tools.files import write_atomically
+from baselines.tools.files import write_bytes
 from beltarm_env.arrays import Singles
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ def onnx_model(folder: Path | str) -> onnx.ModelProto:
 
 def write_onnx(folder: Path | str, path: Path) -> None:
     """Write the ONNX model of a policy to a file; raises the errors of `onnx_model`, and OSError."""
-    data = onnx_model(folder).SerializeToString()
-    write_atomically(path, lambda file: file.write_bytes(data))
+    write_bytes(path, onnx_model(folder).SerializeToString())
 
 
 def model_of(weights: Weights, metadata: Mapping[str, str]) -> onnx.ModelProto:

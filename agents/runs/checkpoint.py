@@ -31,9 +31,9 @@ import torch
 from filelock import FileLock, Timeout
 
 from agents.runs.settings import RunConfig
-from baselines.tools.files import Unsealed, read_sealed, read_text, require_writable, write_sealed, write_text
+from baselines.tools.files import read_sealed, read_text, require_writable, write_sealed, write_text
+from baselines.tools.options import note_options
 from baselines.tools.provenance import software
-from baselines.tools.resuming import note_options
 from baselines.tools.schema import in_a_line, loads
 
 VERSION = 6
@@ -175,8 +175,7 @@ class RunFolder:
         try:
             data = read_sealed(self.checkpoint)
         except ValueError as error:
-            remedy = self._remedy() if isinstance(error, Unsealed) else "choose another --out"
-            raise ValueError(f"{self.checkpoint} cannot be read ({error}): {remedy}") from None
+            raise ValueError(f"{self.checkpoint} cannot be read ({error}): {self._remedy()}") from None
         try:
             content = pickle.loads(data)
             if content["version"] != VERSION:

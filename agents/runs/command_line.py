@@ -22,28 +22,31 @@ from agents.runs.settings import RunConfig
 from agents.runs.training import News, train
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.engines.workplace import Workplace
-from baselines.tools.command import one_line_errors, resume_command, this_python
+from baselines.tools.command import resume_command, run_command, this_python
 from baselines.tools.files import require_writable
-from baselines.tools.options import parse
+from baselines.tools.options import note_options, noted_options
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
-from baselines.tools.resuming import note_options, noted_options
 
 
 def main(kind: type[RunConfig], description: str | None) -> None:
     """Run a training script with its options, and what `--help` says of it."""
-    script = f"train/{kind.algorithm}.py"
-    with one_line_errors(script):
-        config = parse(kind, description, begun=begun_options)
-        try:
-            config.check()
-            _run(config, Console())
-        except Interrupted as interruption:
-            print(f"{interruption}; to continue:\n  {resume_command(script)}")
-            sys.exit(130)
-        except KeyboardInterrupt:
-            print(f"stopped at once; to continue from the last checkpoint:\n  {resume_command(script)}")
-            sys.exit(130)
+    run_command(f"train/{kind.algorithm}.py", kind, run, description, begun_options)
+
+
+def run(config: RunConfig) -> None:
+    """Run the trainings of a command; an interruption says how to go on."""
+    config.check()
+    try:
+        _run(config, Console())
+    except Interrupted as interruption:
+        said = str(interruption)
+    except KeyboardInterrupt:
+        said = "stopped at once, with what the last checkpoint has"
+    else:
+        return
+    print(f"{said}; to continue:\n  {resume_command(f'train/{config.algorithm}.py')}")
+    sys.exit(130)
 
 
 def begun_options(config: RunConfig) -> dict[str, Any]:
@@ -54,15 +57,8 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
     """
     if not config.resume:
         return config.usual()
-    own = ("out", "resume", "overwrite")
-    for path, but in (
-        (config.out / COMMAND, own),
-        (config.out / CONFIG, own),
-        (config.out / f"seed{config.seed}" / CONFIG, (*own, "seed", "seeds")),
-    ):
-        if options := noted_options(path, *but):
-            return options
-    return {}
+    command = config.out / COMMAND  # else a run that another program began
+    return noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
 
 
 def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
@@ -146,17 +142,7 @@ def compare_command(policies: Sequence[Path]) -> str:
 def run_in(config: RunConfig, command: str, folder: Path, channel: Channel) -> News:
     """Train in a folder, as a task: begun again after its process died, it goes on from its checkpoint.
 
-    Args:
-        config: Options.
-        command: What the run was started with.
-        folder: Where to work.
-        channel: Gets `News`.
-
-    Returns:
-        How far the run has come.
-
-    Raises:
-        Interrupted, ValueError, OSError: As `train` does.
+    Returns how far the run has come; raises the errors of `train`.
     """
     resume = config.resume or RunFolder(folder).checkpoint.exists()
     own = replace(config, resume=resume, overwrite=False, jobs=None, engine="local", address=None, storage=None)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 
+from agents.policy.bundle import POLICY_FILE
 from agents.policy.description import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
@@ -135,6 +136,8 @@ class RunConfig(WithStorage):
             raise ValueError(
                 f"--seed must lie within 0 and {MAX_TRAINING_SEED}, with --seeds more too, got {self.seed}"
             )
+        if (self.out / POLICY_FILE).exists():
+            raise ValueError(f"{self.out} is the folder of a policy, not of a run: choose another --out")
         if self.resume and self.overwrite:
             raise ValueError("--resume continues a run and --overwrite deletes it: give only one of them")
         make_base(self.base)

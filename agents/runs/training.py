@@ -38,13 +38,7 @@ _NEWS_EVERY = 0.5  # [s]
 
 
 def validate(controller: Controller, arms: int, task: dict[str, Any]) -> dict[str, float]:
-    """Compute mean scores over arms drawn with the validation seed.
-
-    Args:
-        controller: What is validated.
-        arms: Their number.
-        task: Arguments of `rollout`, see `agents.runs.settings.task_of`.
-    """
+    """Compute mean scores over arms drawn with the validation seed, on a task as `task_of` gives it."""
     metrics = rollout(controller, arms, seed=VALIDATION.first, **task).metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
 
@@ -89,13 +83,8 @@ class Learner(Protocol):
 class TrainingMonitor:
     """Validates a run, keeps its best policy and a checkpoint, reports progress, and stops on request.
 
-    A learner calls it between two updates, where the state of the run is complete.
-
-    Args:
-        config: Options of the run.
-        folder: Where to save; the run goes on from a checkpoint there if it is to be resumed.
-        channel: Gets news, twice a second at most, and after every validation; asks the run to stop.
-        command: What the policies' provenance says made them.
+    A learner calls it between two updates, where the state of the run is complete. The channel gets news, twice a
+    second at most and after every validation. The policies' provenance has the command that began the run.
     """
 
     def __init__(self, config: RunConfig, folder: RunFolder, channel: Channel, command: str) -> None:
@@ -107,9 +96,16 @@ class TrainingMonitor:
         resumed = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
         if resumed:
             self.progress = folder.load(self.learner.restore)
+            if config.length < min(self.learner.steps, self.progress.get("length", 0)):  # a rollout may go beyond it
+                raise ValueError(
+                    f"the run in {folder.folder} has {self.learner.steps} agent steps already, and was to end at "
+                    f"{config.length}: give a larger --total-steps or --rounds"
+                )
+        self.progress["length"] = config.length
         folder.note(config, self.progress["curve"] if resumed else None)
         options = json.loads(json.dumps(asdict(config), default=str))
-        self.spec = config.spec(command=command, **written_by(), config=options)
+        begun_by = self.progress.setdefault("command", command)
+        self.spec = config.spec(command=begun_by, **written_by(), config=options)
         logs, suffix = str(folder.folder), f"_from_{self.learner.steps}" if resumed else ""
         self.logger = Logger(logs, [make_output_format(kind, logs, suffix) for kind in ("csv", "tensorboard")])
         self._report(self.learner.steps, self.progress["scores"] or "validating the base and the untrained policy")
@@ -220,14 +216,8 @@ def train(
 ) -> TrainingMonitor:
     """Run a training, from the beginning or from its checkpoint, to its end.
 
-    Args:
-        config: Options.
-        channel: Gets `News`; a request to stop saves what there is.
-        command: What the policies' provenance says made them; by default the command of this process.
-        place: Folder to work in, where that is not `config.out`: on another machine.
-
-    Returns:
-        The monitor, with the learning curve.
+    The channel gets `News`; a request to stop saves what there is. The command is by default that of this process, and
+    `place`, where it works, the folder `config.out`.
 
     Raises:
         Interrupted: If it was asked to stop; it can be resumed.

@@ -25,14 +25,9 @@ def run_command(
     description: str | None,
     begun: Callable[[Config], Mapping[str, Any]] | None = None,
 ) -> None:
-    """Run a command with the options of its command line; errors as in `one_line_errors`.
+    """Run a command with the options of its command line, see `options.parse`; errors as in `one_line_errors`.
 
-    Args:
-        file: The command's `__file__`.
-        kind: Its options, a dataclass; where it has an option `traceback`, errors come with theirs.
-        work: What it does with them.
-        description: What `--help` says.
-        begun: Gives the options that the work to go on with was begun with, see `options.parse`.
+    Where an option `traceback` is given, errors come with theirs.
     """
     script = f"{Path(file).parent.name}/{Path(file).name}"
     try:
@@ -71,11 +66,9 @@ def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
 
 @contextmanager
 def one_line_errors(script: str, *, whole: bool = False) -> Iterator[None]:
-    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line for each error.
+    """Exit with status 2 on a user's mistake, after its traceback if `whole`, and with 130 on Ctrl-C.
 
-    Args:
-        script: Its name, before each line.
-        whole: Whether the traceback of a mistake comes first.
+    Each error gets a line, which begins with the script's name.
     """
     try:
         try:
@@ -97,11 +90,7 @@ def one_line_errors(script: str, *, whole: bool = False) -> Iterator[None]:
 
 
 def require_bounds(options: object, **bounds: tuple[int, int | None]) -> None:
-    """Check numbers among the options of a command; those that are None are not given.
-
-    Args:
-        options: The options.
-        **bounds: By option the least and the largest value that is allowed, None for none.
+    """Check numbers among options by their least and largest value, None for none; those that are None are not given.
 
     Raises:
         ValueError: If one is out of range, naming it.
@@ -115,15 +104,10 @@ def require_bounds(options: object, **bounds: tuple[int, int | None]) -> None:
 
 
 def require_known(names: Collection[str], known: Collection[str], complaint: str) -> None:
-    """Check that names are known.
-
-    Args:
-        names: What a user wrote.
-        known: What there is.
-        complaint: About an unknown name, which stands in it as `{}`.
+    """Check that names which a user wrote are known.
 
     Raises:
-        ValueError: With the complaint, and the nearest known name or all of them.
+        ValueError: With the complaint, in which `{}` is the name, and the nearest known name or all of them.
     """
     for name in names:
         if name not in known:

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from safetensors.numpy import load, save
 
 _MARK = b"sha256:"  # before the hash at the end of a file
-LARGEST = 1 << 34
-"""Bytes of the largest file that is read: more than any that was written here."""
 _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it to `path`.
+    """Let `write` fill a temporary file beside `path`, whose folder is created, then rename it to `path`.
 
     Temporary files of processes that were killed meanwhile are removed by a later call for the same path.
-
-    Args:
-        path: The file to create or replace; its folder is created.
-        write: Called with the temporary path.
 
     Raises:
         OSError: If the folder cannot be written to or is full, naming `path`, which is then as it was.
@@ -66,16 +59,17 @@ def errors_about(path: Path) -> Iterator[None]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_bytes(path, text.encode())
 
 
-class Unsealed(ValueError):  # noqa: N818
-    """A file without its hash."""
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file atomically."""
+    write_atomically(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_sealed(path: Path, data: bytes) -> None:
     """Write a binary file atomically, with its SHA-256 at its end."""
-    write_atomically(path, lambda temporary: temporary.write_bytes(sealed(data)))
+    write_bytes(path, sealed(data))
 
 
 def sealed(data: bytes) -> bytes:
@@ -88,42 +82,23 @@ def read_sealed(path: Path) -> bytes:
 
     Raises:
         OSError: If it cannot be read.
-        Unsealed: If there is no hash at its end, as in files of older versions.
         ValueError: If it is not what was written.
     """
     whole = read_regular(path)
-    data, seal = whole[: -len(sealed(b""))], whole[-len(sealed(b"")) :]
-    if not seal.startswith(_MARK):
-        raise Unsealed("it has no SHA-256 at its end: it is damaged, or of an older version")
+    data = whole[: -len(sealed(b""))]
     if sealed(data) != whole:
-        raise ValueError("its SHA-256 is not that of its content: it is damaged")
+        raise ValueError("it does not end with the SHA-256 of its content: it is damaged, or of an older version")
     return data
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays of finite numbers by name, see `write_sealed`."""
-    packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **arrays)
-    write_sealed(path, packed.getvalue())
+    """Write arrays by name as safetensors, see `write_sealed`."""
+    write_sealed(path, save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
 
 
-def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Read some of the arrays that `write_arrays` wrote.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is not what was written, or lacks one.
-    """
-    data = read_sealed(path)
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            arrays: dict[str, Any] = {name: stored[name] for name in names}
-    except Exception as error:  # numpy, zipfile and what they call raise whatever they stumble over
-        raise ValueError(f"it does not hold its arrays ({type(error).__name__})") from None
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
-            raise ValueError(f"its {name} is no array of finite numbers")
-    return arrays
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read what `write_arrays` wrote; raises the errors of `read_sealed`."""
+    return load(read_sealed(path))
 
 
 def replace_folder(folder: Path, made: Path) -> None:
@@ -158,15 +133,11 @@ def require_writable(folder: Path) -> None:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
 
 
-def read_regular(path: Path, most: int = LARGEST) -> bytes:
+def read_regular(path: Path, most: int = 1 << 34) -> bytes:
     """Read a file that others may have made: reading a device or a pipe need not come to an end.
 
-    Args:
-        path: Its path; a link to a file will do.
-        most: Bytes that it may have.
-
     Raises:
-        OSError: If it cannot be read, is no regular file, or has more bytes.
+        OSError: If it cannot be read, is no regular file, or has more than `most` bytes.
     """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(handle, "rb") as file:

@@ -10,11 +10,12 @@ a dataclass; such dataclasses are made here, so that commands work with one flat
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stderr
-from dataclasses import Field, field, fields, make_dataclass
+from dataclasses import Field, asdict, field, fields, make_dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -22,8 +23,8 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 import docstring_parser
 import tyro
 
-from baselines.tools.resuming import as_arguments
-from baselines.tools.schema import in_a_line
+from baselines.tools.files import read_text, write_text
+from baselines.tools.schema import in_a_line, loads
 
 Groups = Mapping[str, tuple[str, ...]]
 """Names of options, by the name of their group."""
@@ -38,14 +39,10 @@ def parse(
     arguments: Sequence[str] | None = None,
     begun: Callable[[_Config], Mapping[str, Any]] | None = None,
 ) -> _Config:
-    """Read options from the command line.
+    """Read options, a dataclass, from the command line.
 
-    Args:
-        kind: The options, a dataclass.
-        description: What `--help` begins with; by default the docstring of `kind`.
-        arguments: Arguments to read instead of the command line's.
-        begun: Gives, from the options that are given, those that the work to go on with was begun with: they stand for
-            those that are not given.
+    `--help` begins with the description, by default the docstring of `kind`. From the options that are given, `begun`
+    gives those that the work to go on with was begun with: they stand for those that are not given.
 
     Raises:
         SystemExit: After `--help`, and for arguments that are no options.
@@ -53,7 +50,7 @@ def parse(
     """
     given = sys.argv[1:] if arguments is None else arguments
     config = _read(kind, description, given)
-    begun_with = as_arguments(kind, begun(config)) if begun else []
+    begun_with = _as_arguments(kind, begun(config)) if begun else []
     if not begun_with:
         return config
     try:
@@ -121,3 +118,42 @@ def _joined(text: str | None) -> str:
 
 def _paragraphs(text: str | None) -> str:
     return "\n\n".join(_joined(paragraph) for paragraph in (text or "").split("\n\n"))
+
+
+# Options of interrupted work: noted as it begins, so that `--resume` goes on with them unless others are given
+
+
+def note_options(path: Path, config: Any, **beside: Any) -> None:
+    """Write the options of a command, a dataclass, and what else is to stand beside them, as JSON."""
+    write_text(path, json.dumps({"config": asdict(config), **beside}, indent=2, default=str) + "\n")
+
+
+def noted_options(path: Path, *but: str) -> dict[str, Any]:
+    """Read the options that were noted, without those named in `but`; none where no file is.
+
+    Raises:
+        ValueError: If the file is damaged.
+    """
+    if not path.exists():
+        return {}
+    try:
+        options = loads(read_text(path))["config"]
+        return {name: value for name, value in options.items() if name not in but}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged ({in_a_line(repr(error))}): choose another --out") from None
+
+
+def _as_arguments(kind: type[Any], options: Mapping[str, Any]) -> list[str]:
+    """Return options, as JSON has them, as arguments of a command line, but for defaults and unknown names."""
+    arguments = list[str]()
+    for each in fields(kind):
+        value, name = options.get(each.name), each.name.replace("_", "-")
+        if value is None or value == each.default:
+            continue
+        if isinstance(value, bool):  # a flag says what is not its default
+            arguments.append(f"--{name}" if value else f"--no-{name}")
+        elif isinstance(value, list):
+            arguments += [f"--{name}", *map(str, value)]
+        else:
+            arguments.append(f"--{name}={value}")
+    return arguments

@@ -30,12 +30,7 @@ def mapping_of(values: Any) -> dict[str, Any]:
 
 
 def in_a_line(value: object, most: int = 200) -> str:
-    """Words for something that others may have written, as part of a message: printable, in a line, and not too long.
-
-    Args:
-        value: What to show.
-        most: Number of characters, beyond which it is cut.
-    """
+    """Words for what others may have written: printable, in a line, of at most so many characters."""
     text = " ".join(str(value)[: 2 * most].split())
     text = "".join(letter if letter.isprintable() else "?" for letter in text)
     return text if len(text) <= most else f"{text[: most - 3]}..."
@@ -79,15 +74,10 @@ _Validator = validators.extend(Draft202012Validator, type_checker=_TYPES)
 
 
 def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
-    """Check content by a schema.
-
-    Args:
-        content: What was parsed.
-        where: Beginning of the message.
-        schema: JSON Schema.
+    """Check content by a JSON Schema.
 
     Raises:
-        ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
+        ValueError: Beginning with `where`: the first place that does not fit, what is wanted and what is there.
     """
     for error in _Validator(schema).iter_errors(content):
         place, wanted = f"{where}: {in_a_line(error.json_path, 100)}", error.validator_value

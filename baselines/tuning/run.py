@@ -19,10 +19,9 @@ from baselines.loops.condition import MarginCondition, least_margins
 from baselines.registry import TUNABLE
 from baselines.tools.command import require_bounds, require_known
 from baselines.tools.files import require_writable
-from baselines.tools.options import Groups
+from baselines.tools.options import Groups, note_options, noted_options
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
-from baselines.tools.resuming import note_options, noted_options
 from baselines.tuning.search import SearchProgress, SearchResult, Terms, search_in, split_budget
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__

@@ -1,7 +1,7 @@
 """Cache of a comparison: parts that are kept on disk, and the processes that run the others.
 
 A part is a method on some scenarios in a row of a split. It is kept as
-`parts/SET.SPLIT.METHOD.FIRST-COUNT.KEY.npz`, with a key of everything that its numbers depend on: edition and
+`parts/SET.SPLIT.METHOD.FIRST-COUNT.KEY.safetensors`, with a key of everything that its numbers depend on: edition and
 scenarios, the method's gains, policies or sources, the code of plant and controllers, and the versions of the packages
 below them. A run that was interrupted, or that asks for more, goes on from the parts that are kept. Each file ends in
 its SHA-256: one that is damaged, or was changed by hand, is run again.
@@ -73,7 +73,7 @@ class Part:
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
         key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.count)
-        return folder / FOLDER / f"{self.stem}.{key}.npz"
+        return folder / FOLDER / f"{self.stem}.{key}.safetensors"
 
     @property
     def stem(self) -> str:
@@ -155,11 +155,9 @@ def read_kept(part: Part, folder: Path) -> Metrics | None:
     if part.method.identity is None:
         return None
     path = part.file(folder)
-    shape = (len(part.method.sources), part.count)
-    with suppress(OSError, ValueError):
-        metrics = read_arrays(path, part.tables)
-        if all(table.shape == shape for table in metrics.values()):
-            return metrics
+    with suppress(OSError, ValueError, KeyError):
+        kept = read_arrays(path)
+        return {name: kept[name] for name in part.tables}
     path.unlink(missing_ok=True)
     return None
 
@@ -174,7 +172,7 @@ def keep(part: Part, folder: Path, metrics: Metrics) -> None:
         return
     current = part.file(folder)
     write_arrays(current, metrics)
-    for path in current.parent.glob(f"{part.stem}.*.npz"):
+    for path in current.parent.glob(f"{part.stem}.*"):
         if path != current:
             path.unlink(missing_ok=True)
 

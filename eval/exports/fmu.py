@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines.tools.files import write_atomically
+from baselines.tools.files import write_bytes
 from baselines.tools.progress import progress_over
 from baselines.tools.schema import in_a_line
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
@@ -182,7 +182,7 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
         ValueError: If there is no compiler, or it fails.
     """
     content, platforms, _ = packed(params)
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    write_bytes(path, content)
     return platforms
 
 

@@ -16,8 +16,7 @@ import tyro
 import yaml
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.bundle import CARD, POLICY_FILE, load_controller, read_bundle, read_spec
-from agents.policy.card import ENVIRONMENT, Offer, card, model_name
+from agents.policy.bundle import CARD, ENVIRONMENT, POLICY_FILE, Offer, card, load_controller, model_name, read_bundle
 from agents.runs.command_line import compare_command
 from beltarm_env.rollout import rollout
 from eval.comparison.sets import development_set
@@ -80,7 +79,7 @@ def export(options: Options) -> None:
         raise ValueError(f"--repo-id must be ORG/NAME as the Hub allows it, got {options.repo_id!r}: {line}") from None
     if not re.fullmatch(r"[a-z0-9][a-z0-9.-]*", options.license):
         raise ValueError(f"--license must be the Hub's abbreviation, such as mit, got {options.license!r}")
-    _, content = read_spec(options.policy)
+    content = read_bundle(options.policy).content
     out = options.out or Path("results/hub") / (options.repo_id.split("/")[-1] or model_name(content))
     require_free(out, CONFIG, FORMAT)
     if out.exists() and any(out.iterdir()) and not options.overwrite:
@@ -146,7 +145,7 @@ def film_of(policy: Path) -> bytes:
         ValueError: If no package is installed that writes it.
     """
     side_by_side.require_writer(Path(FILM))
-    (spec, _), split = read_spec(policy), development_set().splits["randomized"]
+    spec, split = read_bundle(policy).spec, development_set().splits["randomized"]
     motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
     track = side_by_side.Track(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
     with tempfile.TemporaryDirectory() as made:

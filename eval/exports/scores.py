@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agents.policy.bundle import load_controller, read_spec
-from agents.policy.card import ENVIRONMENT
+from agents.policy.bundle import ENVIRONMENT, load_controller, read_spec
 from baselines.tools.files import sha256_of
 from baselines.tools.provenance import commit
 from beltarm_env.arrays import Floats

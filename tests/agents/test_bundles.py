@@ -18,8 +18,7 @@ from bundles import SPEC, Exploit, edit, new_weights
 from refusals import refused
 from safetensors.numpy import save
 
-from agents.policy.bundle import CARD, POLICY_FILE, annotate, load_controller, read_bundle, read_spec, save_bundle
-from agents.policy.card import card
+from agents.policy.bundle import CARD, POLICY_FILE, annotate, card, load_controller, read_bundle, read_spec, save_bundle
 from agents.policy.description import MADE_FOR, BundleError, BundleSpec
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base, settings_hash
@@ -181,6 +180,7 @@ def test_damaged_policies_are_refused(bundle: Path, damage: str):
 WRONG: list[tuple[dict[str, Any], str]] = [
     *[({name: value}, str(value)) for name in MADE_FOR for value in (None, "x", [2], {}, 99, NAN)],
     *[({name: value}, value) for name, value in [("algorithm", "dqn"), ("base", "lqr"), ("activation", "gelu")]],
+    *[({name: ...}, f"{name} must be there") for name in ("base_settings", "base_hash", "hidden")],
     ({"sensors": "sonar"}, "sonar"),
     ({"entries": []}, "entries"),
     ({"entries": [["tip_speed", "m/s", 1.0, 1.0]]}, "tip_speed"),

@@ -26,7 +26,7 @@ from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
 from agents.runs.settings import task_of
-from agents.runs.training import News, TrainingMonitor, validate
+from agents.runs.training import News, TrainingMonitor, train, validate
 from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.engines.workplace import Workplace
@@ -153,6 +153,7 @@ def test_a_run_is_not_mixed_with_another(copied: Path):
         ({"arms": 16}, ("--arms 8, not 16",)),
         ({"hidden": (4, 4)}, ("--hidden [8], not [4, 4]",)),
         ({"learning_rate": 1e-3}, ("--learning-rate 0.00035, not 0.001",)),
+        ({"total_steps": 64}, ("has 128 agent steps already", "--total-steps")),
     ):
         refused(ValueError, words, partial(run, resumed(copied, **options)))
     refused(ValueError, ("run in", "--"), lambda: run(tiny("sac", copied, resume=True)))
@@ -256,14 +257,14 @@ def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(
 def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, tmp_path: Path):
     """With the very options that it was begun with, which are not those of resuming; what is half written goes."""
     config = tiny("ppo", tmp_path / "run", total_steps=128)
-    refused(Interrupted, ("at 64 steps",), lambda: run(config, StopAfter(1)))
+    refused(Interrupted, ("at 64 steps",), lambda: train(config, Channel(stop=StopAfter(1)), "python train/ppo.py"))
     for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
         (config.out / half).write_bytes(b"\x80\x05half")
         os.utime(config.out / half, (0, 0))  # as if an hour had passed
-    end = run_in(config, "python train/ppo.py --seeds 2", config.out, Channel())
+    end = run_in(config, "python train/ppo.py --resume", config.out, Channel())
     assert end.steps == 128 and [path.name for path in config.out.rglob(".*")] == [".lock"]
     assert weights(tmp_path / "run/last") == weights(finished[0] / "last")
-    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
+    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py", "what began it"
 
 
 # Progress

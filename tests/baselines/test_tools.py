@@ -1,7 +1,6 @@
 """Tools: files written whole or not at all, JSON of others, progress on a terminal, provenance."""
 
 import errno
-import io
 import math
 import os
 import subprocess
@@ -11,9 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from bundles import Exploit
 from hypothesis import example, given
 from hypothesis import strategies as st
 from refusals import refused
@@ -82,22 +79,6 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path):
         for path in (tmp_path / "pipe", tmp_path / "device"):
             with pytest.raises((OSError, ValueError), match="is no regular file"):
                 read(path)
-
-
-def test_arrays_that_are_none_are_refused_and_execute_nothing(tmp_path: Path):
-    """Also where somebody has sealed them."""
-    path, sound = tmp_path / "arrays", np.arange(3.0)
-    files.write_arrays(path, {"a": sound, "b": sound})
-    assert files.read_arrays(path, "ab")["b"].tolist() == [0, 1, 2]
-    objects = np.array([Exploit(tmp_path / "executed")], object)
-    for wrong in (objects, np.arange(3), np.array([1.0, math.nan]), np.array(["a"])):
-        packed = io.BytesIO()
-        np.savez(packed, a=sound, b=wrong)  # pyright: ignore[reportArgumentType]
-        files.write_sealed(path, packed.getvalue())
-        refused(ValueError, ("it",), lambda: files.read_arrays(path, "ab"))
-    files.write_sealed(path, b"no archive")
-    refused(ValueError, ("it",), lambda: files.read_arrays(path, "a"))
-    assert not (tmp_path / "executed").exists()
 
 
 LARGEST_INTEGER = 2**63 - 1

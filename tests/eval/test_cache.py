@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bundles import SPEC, new_weights
 from commands import mistake, stopped
+from safetensors.numpy import save
 
 from agents.policy.bundle import POLICIES, save_bundle
 from baselines import CONTROLLERS, DOMINATED
@@ -124,15 +125,14 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
     """With any bit changed, cut off anywhere, or with other numbers that somebody wrote."""
     (measured,), path = run_parts([part()], tmp_path, 1), part().file(tmp_path)
     sound = path.read_bytes()
-    directory = sound.index(b"PK\1\2")  # where the reader of archives raises what it likes
     damaged = [b"", b"half", sound[:-200]]
-    for place in (*range(directory, len(sound), 29), *range(0, directory, 1997)):
+    for place in range(0, len(sound), 29):
         damaged.append(sound[:place] + bytes([sound[place] ^ 1 << place % 8]) + sound[place + 1 :])
     for data in damaged:
         path.write_bytes(data)
         assert read_kept(part(), tmp_path) is None and not path.exists()
     assert isinstance(measured, dict)
-    np.savez(path, allow_pickle=False, **{**measured, "cost": 0.5 * measured["cost"]})
+    path.write_bytes(save({**measured, "cost": 0.5 * measured["cost"]}))
     assert_same(run_parts([part()], tmp_path, 1), [measured])
 
 

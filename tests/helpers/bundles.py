@@ -26,9 +26,10 @@ def new_weights(spec: BundleSpec = SPEC, seed: int | None = None) -> Weights:
 
 
 def edit(bundle: Path, tensors: dict[str, np.ndarray] | None = None, *, rehash: bool = True, **changes: Any) -> None:
-    """Change a policy, with a fitting hash (a foreign program's) or without (a hand's)."""
+    """Change a policy, with a fitting hash (a foreign program's) or without (a hand's); `...` takes an entry away."""
     content, known = read_packed(bundle / POLICY_FILE, "policy")
-    content, tensors = {**content, **changes}, known if tensors is None else tensors
+    content = {name: value for name, value in {**content, **changes}.items() if value is not ...}
+    tensors = known if tensors is None else tensors
     if rehash:
         content["sha256"] = digest_of(content, tensors)
     (bundle / POLICY_FILE).write_bytes(save(tensors, metadata={"policy": json.dumps(content)}))

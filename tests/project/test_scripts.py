@@ -19,11 +19,10 @@ from trainings import SHORT
 from waiting import until
 
 from agents.learners import ppo
-from agents.runs.checkpoint import COMMAND, RunFolder
+from agents.runs.checkpoint import COMMAND
 from agents.runs.command_line import begun_options, main
 from baselines.tools.command import this_python
-from baselines.tools.options import parse
-from baselines.tools.resuming import note_options
+from baselines.tools.options import note_options, parse
 from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
@@ -96,15 +95,11 @@ def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_
         assert named in mistake(train_ppo, again, tmp_path)
 
 
-@pytest.mark.parametrize("noted", [True, False])
-def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool, tmp_path: Path) -> None:
-    """Also how many there are; or, of runs whose command was not noted, with those of the first one."""
+def test_several_seeds_are_resumed_with_the_options_of_their_command(tmp_path: Path) -> None:
+    """Also how many there are."""
     config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2)
-    run = replace(config, out=config.out / "seed4", seeds=1)
-    RunFolder(run.out).note(run)
-    if noted:
-        note_options(config.out / COMMAND, config)
-    told = ("--out", str(config.out), "--resume", *(() if noted else ("--seeds", "3", "--seed", "4", "--jobs", "2")))
+    note_options(config.out / COMMAND, config)
+    told = ("--out", str(config.out), "--resume")
     assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == replace(config, resume=True)
     told = (*told, "--total-steps", "800000", "--hidden", "16", "16")
     expected = replace(config, resume=True, total_steps=800_000, hidden=(16, 16))
@@ -131,6 +126,7 @@ def test_bad_training_options(trained: Path, tmp_path: Path, capsys: pytest.Capt
         (("--out", "/dev/null/run"), "/dev/null/run"),
         (("--out", "nowhere", "--resume"), "nowhere"),
         (("--out", str(trained), *TINY), "already holds a run"),
+        (("--out", str(trained / "best"), *TINY), "is the folder of a policy"),
     ):
         assert named in mistake(train_ppo, arguments, tmp_path)
         assert capsys.readouterr().out == "", "no progress is shown before"

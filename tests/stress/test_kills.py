@@ -86,7 +86,7 @@ def _comparison(folder: Path) -> dict[str, Any]:
         results["provenance"].pop(name)
     for row in results["rows"]:
         row.pop("action_us")
-    kept = {path.name: path.read_bytes() for path in (*folder.glob("parts/*.npz"), folder / "episodes.csv")}
+    kept = {path.name: path.read_bytes() for path in (*folder.glob("parts/*.safetensors"), folder / "episodes.csv")}
     return {"results.json": results, **kept}
 
 

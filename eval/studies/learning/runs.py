@@ -188,7 +188,6 @@ class Run:
             "curve": [[round(float(value), 4) for value in point] for point in points],
             "validation_arms": curve.arms,
             "moves": curve.moves,
-            "validation_of_base": curve.base_cost,
         }
         write_text(place / _RECORD, json.dumps(result, indent=2) + "\n")
         return result
