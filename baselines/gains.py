@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from collections import namedtuple
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, astuple, dataclass, field, fields
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -49,6 +51,22 @@ class Gains:
                 raise TypeError(f"{name} must be a number, got {value!r}")
             if not low <= value <= high:
                 raise ValueError(f"{name} must lie within {low:g} and {high:g}, got {value!r}")
+
+    def numbers(self) -> Any:
+        """The gains as a named tuple of floats, which a kernel can read."""
+        return _numbers(type(self), map(float, astuple(self)))
+
+
+def _numbers(kind: type[Gains], values: Iterable[float]) -> Any:
+    return _numbers_of(kind)._make(values)
+
+
+@cache
+def _numbers_of(kind: type[Gains]) -> Any:
+    """Type of the numbers of a kind of gains; pickled by this kind, as it is in no module itself."""
+    made: Any = namedtuple(kind.__name__, [gain.name for gain in fields(kind)])
+    made.__reduce__ = lambda numbers: (_numbers, (kind, tuple(numbers)))
+    return made
 
 
 AnyGains = TypeVar("AnyGains", bound=Gains)

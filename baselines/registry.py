@@ -18,14 +18,15 @@ from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
 from baselines.servo.flat import FlatController, FlatGains
 from baselines.servo.paper import PaperController, rigid_controller
 from baselines.servo.retuned import RetunedController, RetunedGains
-from baselines.servo.shaping import GAINS as SHAPING_GAINS
-from baselines.servo.shaping import ShapingController
+from baselines.servo.shaping import EiController, ExtraInsensitiveGains, ShapingGains, ZvController, ZvdController
 from baselines.servo.smooth import SmoothController, SmoothGains
 from beltarm_env import ArmParams
 
 TUNABLE = {
     "retuned": Tunable(RetunedController, RetunedGains),
-    **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
+    "zv": Tunable(ZvController, ShapingGains),
+    "zvd": Tunable(ZvdController, ShapingGains),
+    "ei": Tunable(EiController, ExtraInsensitiveGains),
     "smooth": Tunable(SmoothController, SmoothGains),
     "flat": Tunable(FlatController, FlatGains),
     "disturbance": Tunable(DisturbanceController, DisturbanceGains),

@@ -18,14 +18,13 @@ counts as tip error: the method buys a quiet end with a move that is not the one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps, move_of
 from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
-from beltarm_env import ArmParams
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
+from baselines.servo.servo import ServoDesign
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
@@ -38,19 +37,12 @@ class SmoothGains(PidGains):
     ramp: float = tunable(1.43, 0.1, 5.0)  # [periods of the mode]  least time of a ramp
 
 
-class SmoothDesign(NamedTuple):
-    """What the law knows: its servo, and the smoothness of the profile."""
-
-    pid: PidDesign
-    ramp: float
-
-
 @compiled
-def plan_smooth(design: SmoothDesign, move: MoveShape, ramps: Ramps) -> None:
+def plan_smooth(design: ServoDesign, move: MoveShape, ramps: Ramps) -> None:
     """Write the first two ramps: one up and one down."""
-    plant = design.pid.plant
-    up = max(move.ramp_time, design.ramp * held_mode(move.start, plant).period)
-    down = max(move.ramp_time, design.ramp * held_mode(move.goal, plant).period)
+    plant, ramp = design.plant, design.gains.ramp
+    up = max(move.ramp_time, ramp * held_mode(move.start, plant).period)
+    down = max(move.ramp_time, ramp * held_mode(move.goal, plant).period)
     share = min(1.0, move.duration / (up + down))
     up, down = share * up, share * down
     cruise = (move.goal - move.start) / (move.duration - 0.5 * (up + down))
@@ -59,27 +51,18 @@ def plan_smooth(design: SmoothDesign, move: MoveShape, ramps: Ramps) -> None:
 
 
 @compiled
-def smooth_law(design: SmoothDesign, now: Sample, begins: bool, memory: Floats) -> float:
+def smooth_law(design: ServoDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
     ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
     if begins:
         memory[INTEGRAL] = 0.0
         plan_smooth(design, move_of(now), ramps)
-    return ramp_torque(design.pid, now, ramps, 2, True, memory)
+    return ramp_torque(design, now, ramps, 2, True, memory)
 
 
 class SmoothController(PidServo):
-    """PID along an S-curve.
+    """PID along an S-curve."""
 
-    Args:
-        gains: Of servo and profile.
-        params: The design model.
-    """
-
+    gains_type = SmoothGains
     arm_law = staticmethod(smooth_law)
     memory_size = RAMPS_END
-
-    def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or SmoothGains()
-        super().__init__(self.gains, params)
-        self._design = SmoothDesign(self._pid, self.gains.ramp)
