@@ -7,11 +7,10 @@ from functools import partial
 from typing import Any
 
 from baselines.gains import Tunable, tuned
-from baselines.optimal.accelerometer import AccelerometerAdaptiveController, AccelerometerPreviewController
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController, AdaptiveGains
 from baselines.optimal.lqg import LqgController, LqgGains
 from baselines.optimal.mpc import MpcController, MpcGains
-from baselines.optimal.preview import PreviewController, PreviewGains
+from baselines.optimal.preview import AccelerometerPreviewController, PreviewController, PreviewGains
 from baselines.optimal.robust import RobustController, RobustGains
 from baselines.servo.adrc import AdrcController, AdrcGains
 from baselines.servo.disturbance import DisturbanceController, DisturbanceGains

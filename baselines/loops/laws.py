@@ -26,10 +26,9 @@ from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.optimal.horizon import Horizon, horizon
-from baselines.optimal.horizon import plan as plan_horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.mpc import MpcController
+from baselines.optimal.mpc import Horizon, MpcController, horizon
+from baselines.optimal.mpc import plan as plan_horizon
 from baselines.optimal.preview import PreviewController
 from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
@@ -161,7 +160,7 @@ def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> La
 
 def lqg_law(controller: LqgController, k: int) -> Law:
     """State feedback, optimal or robust."""
-    return _ahead_feedback(controller.params, k, controller.feedback[k], controller.gains.noise())
+    return _ahead_feedback(controller.params, k, controller.feedback()[k], controller.gains.noise())
 
 
 def preview_law(controller: PreviewController, k: int) -> Law:

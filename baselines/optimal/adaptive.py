@@ -167,6 +167,12 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         return self._identifier.update(belief, reading, begins)
 
 
+class AccelerometerAdaptiveController(AdaptiveController):
+    """Adaptive preview LQG on encoder and accelerometer."""
+
+    sensors = "accelerometer"
+
+
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:
     """Identification with the tuned gains of this controller.
 

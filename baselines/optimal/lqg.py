@@ -32,7 +32,7 @@ from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_co
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObservedArm, ObserverController
+from baselines.optimal.observer_feedback import ADDED, ObservedArm, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
@@ -84,7 +84,7 @@ class LqgDesign(NamedTuple):
 
 @compiled
 def _torque(design: LqgDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
-    """Motor torque [N m], see `FeedbackLaw`."""
+    """Motor torque [N m], see `ObserverController`."""
     corners, last = row[_MOVE], now.last_command - row[ADDED]
     if begins:
         write_corners(move_of(now), design.plant, design.first_spread, design.spread, corners)
@@ -113,36 +113,20 @@ def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: ObservedArm) -
 
 
 class LqgController(ObserverController):
-    """Flatness feed-forward and gain-scheduled LQG on encoder observations.
+    """Flatness feed-forward and gain-scheduled LQG on encoder observations."""
 
-    Args:
-        gains: Smoothness, weights and noise.
-        params: The design model.
-    """
-
+    gains_type = LqgGains
+    feedback_law = staticmethod(_torque)
     row_size = 1 + CORNERS
 
-    def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or LqgGains()
-        super().__init__(self.gains.noise(), params)
-        self.feedback = self._feedback()
-        """Gains K at each of `ANGLES`, shape (46, 5)."""
-        self._design = LqgDesign(
-            self._observer.design,
-            self.params.plant(),
-            self.gains.first_spread,
-            self.gains.spread,
-            self.feedback,
-            self.gains.compensation(self.params),
-        )
+    def _known(self) -> LqgDesign:
+        p, g = self.params, self.gains
+        spreads = g.first_spread, g.spread
+        return LqgDesign(self._observer.design, p.plant(), *spreads, self.feedback(), g.compensation(p))
 
-    def _feedback(self) -> Floats:
+    def feedback(self) -> Floats:
         """Gains K at each of `ANGLES`, shape (46, 5)."""
         return feedback_gains(self.params, self.gains.weights())
-
-    def feedback_law(self) -> FeedbackLaw:
-        """The law for one arm."""
-        return FeedbackLaw(_torque, self._design)
 
     def kernel(self) -> LawKernel:
         """The law for one arm, with its observer."""

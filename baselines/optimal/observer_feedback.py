@@ -14,8 +14,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from baselines.controller import ClassicalController
-from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.estimation.tracking import Track
+from baselines.planning.plan import Plans
 from baselines.reading import Reading, sample_of
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -23,16 +24,6 @@ from beltarm_env.engine import compiled
 
 ADDED = 0
 """Entry of a law's row: torque beside the feedback's at the last sample [N m]."""
-
-
-class FeedbackLaw(NamedTuple):
-    """Law for one arm whose state is estimated."""
-
-    law: Callable[..., float]
-    """`law(design, now, begins, ahead, disturbance, row)`: motor torque [N m] of one sample, before it is cut at its
-    limit, from what is constant, a `Sample`, whether an episode begins, x when the command acts, shape (4,), and d
-    [N m]. Writes the row, its memory, in which nothing counts where an episode begins."""
-    design: Any  # named tuple of numbers and arrays
 
 
 class ObservedArm(NamedTuple):
@@ -44,10 +35,11 @@ class ObservedArm(NamedTuple):
 
 @dataclass(frozen=True)
 class ObserverMemory:
-    """Estimates of n arms, and the memory of their laws."""
+    """Estimates of n arms, the memory of their laws, and their plans."""
 
     estimate: Estimate
     rows: Floats  # shape (n, size)
+    plans: Plans | None  # of a controller that plans
 
 
 @compiled
@@ -66,32 +58,41 @@ def _run_law(
 
 
 class ObserverController(ClassicalController[ObserverMemory]):
-    """Base of controllers with an observer; a subclass writes `feedback_law`.
+    """Base of controllers with an observer; a subclass names its `gains_type` and `feedback_law`, and writes `_known`.
 
     Args:
-        noise: Process noise of the observer.
+        gains: Of this type; those before tuning if not given.
         params: The design model.
     """
 
+    gains_type: ClassVar[type[Any]]
+    feedback_law: ClassVar[Callable[..., float]]
+    """`feedback_law(design, now, begins, ahead, disturbance, row)`: motor torque [N m] of one sample of one arm, before
+    it is cut at its limit, from what is constant, a `Sample`, whether an episode begins, x when the command acts, shape
+    (4,), and d [N m]. Writes the row, its memory, in which nothing counts where an episode begins."""
     observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
     row_size: ClassVar[int] = 1
 
-    def __init__(self, noise: Noise, params: ArmParams | None) -> None:
+    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self._observer = self.observer(self.params, noise)
+        self.gains = gains or self.gains_type()
+        self._observer = self.observer(self.params, self.gains.noise())
+        self._design = self._known()
 
     @abstractmethod
-    def feedback_law(self) -> FeedbackLaw:
-        """The law for one arm, with a row of `row_size` entries."""
+    def _known(self) -> Any:
+        """What the law knows: a named tuple of numbers and arrays."""
 
     def law(self, reading: Reading, begins: Flags, memory: ObserverMemory | None) -> tuple[Floats, ObserverMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
+        count, torques = len(begins), np.empty(len(begins))
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        rows = memory.rows.copy() if memory else np.zeros((len(begins), self.row_size))
-        return self._torques(reading, begins, estimate, rows), ObserverMemory(estimate, rows)
+        rows = memory.rows.copy() if memory else np.zeros((count, self.row_size))
+        plans = self._planned(memory.plans if memory else None, reading, begins, rows)
+        law, ahead, disturbance = type(self).feedback_law, estimate.ahead, estimate.disturbance
+        _run_law(law, self._design, reading, begins, ahead, disturbance, rows, torques)
+        return torques, ObserverMemory(estimate, rows, plans)
 
-    def _torques(self, reading: Reading, begins: Flags, estimate: Estimate, rows: Floats) -> Floats:
-        """Torques of n arms [N m]; their rows are written."""
-        torques = np.empty(len(begins))
-        _run_law(*self.feedback_law(), reading, begins, estimate.ahead, estimate.disturbance, rows, torques)
-        return torques
+    def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans | None:
+        """Plans of n arms; what the laws need of them is written to their rows."""
+        return plans

@@ -274,22 +274,15 @@ def write_gains(path: Path = FILE) -> None:
 
 
 class RobustController(LqgController):
-    """Flatness feed-forward and robust LQ on encoder observations.
+    """Flatness feed-forward and robust LQ on encoder observations; the corners lie about the design model."""
 
-    Args:
-        gains: Smoothness, weights and noise.
-        params: The design model, about which the corners lie.
-    """
-
-    gains: RobustGains
-
-    def __init__(self, gains: RobustGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(gains or RobustGains(), params)
+    gains_type = RobustGains
 
     @property
     def design(self) -> Design:
         """What its feedback gains are found for."""
         return Design(self.params, self.gains.weights(), self.gains.noise(), self.gains.angle_noise)
 
-    def _feedback(self) -> Floats:
+    def feedback(self) -> Floats:
+        """Gains K at each of `ANGLES`, shape (46, 5)."""
         return robust_gains(self.design)
