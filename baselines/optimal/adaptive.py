@@ -27,14 +27,7 @@ from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.adaptive_law import (
-    AdaptiveDesign,
-    Compensation,
-    arm_memory,
-    law,
-    write_compensations,
-    write_motor_torques,
-)
+from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
 from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
@@ -75,18 +68,6 @@ class AdaptiveGains(Gains):
     def compensation(self) -> Compensation:
         """What of friction is compensated."""
         return Compensation(self.friction_share, self.rest_width)
-
-    def compensated(self, friction: Floats, direction: Floats, torque: Floats) -> Floats:
-        """Compute the torques c tau_f dir [N m] that overcome friction, for n motors.
-
-        Args:
-            friction: Of each while it slides forward [N m].
-            direction: In which it slides, -1 or 1; 0 where it sticks.
-            torque: Asked of the motors beside that [N m].
-        """
-        result = np.empty(len(torque))
-        write_compensations(self.compensation(), friction, direction, torque, result)
-        return result
 
 
 @dataclass(frozen=True)

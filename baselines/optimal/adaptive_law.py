@@ -55,13 +55,6 @@ def compensated(of: Compensation, friction: float, direction: float, torque: flo
     return of.share * friction * (direction if direction != 0.0 else min(max(torque / of.width, -1.0), 1.0))
 
 
-@compiled
-def write_compensations(of: Compensation, friction: Floats, direction: Floats, torque: Floats, result: Floats) -> None:
-    """Write what `compensated` says of n motors; arrays of shape (n,)."""
-    for arm in range(len(torque)):
-        result[arm] = compensated(of, friction[arm], direction[arm], torque[arm])
-
-
 @inlined
 def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state: Floats, direction: float) -> float:
     """Add to the torque of a plan [N m] what friction, ripple and d take.
