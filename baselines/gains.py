@@ -79,26 +79,26 @@ class Tunable(NamedTuple):
     gains: type[Gains]
 
 
-def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
-    """Tuned gains of the controller `name`, or those of `kind` if it has not been tuned.
+def tuned(name: str, kind: type[AnyGains]) -> AnyGains:
+    """Tuned gains of the controller `name` in `FILE`, or those of `kind` if it has not been tuned.
 
     Raises:
         ValueError: If the file holds gains that `kind` does not have, or no number within its range.
     """
-    entry = read_file(path).get(name)
+    entry = read_file(FILE).get(name)
     if entry is None:
         return kind()
     remedy = f"run `{this_python()} baselines/tune.py {name}`"
     known = {gain.name for gain in fields(kind)}
     if set(entry["gains"]) != known:
         raise ValueError(
-            f"{path.name} has gains {in_a_line(', '.join(sorted(entry['gains'])), 80)} for {name!r}, but it needs "
+            f"{FILE.name} has gains {in_a_line(', '.join(sorted(entry['gains'])), 80)} for {name!r}, but it needs "
             f"{', '.join(sorted(known))}: {remedy}"
         )
     try:
         return kind(**entry["gains"])
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path.name}, {name!r}: {in_a_line(error, 120)}; {remedy}") from None
+        raise ValueError(f"{FILE.name}, {name!r}: {in_a_line(error, 120)}; {remedy}") from None
 
 
 def read_file(path: Path = FILE) -> dict[str, Any]:
