@@ -19,6 +19,7 @@ from baselines.servo.paper import PaperController, rigid_controller
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.shaping import EiController, ExtraInsensitiveGains, ShapingGains, ZvController, ZvdController
 from baselines.servo.smooth import SmoothController, SmoothGains
+from baselines.tools.command import require_known
 from beltarm_env import ArmParams
 
 TUNABLE = {
@@ -47,8 +48,9 @@ def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
         params: The design model, see `baselines.controller`.
 
     Raises:
-        ValueError: If the file of gains is damaged or out of date.
+        ValueError: If there is none with gains of this name, or the file of gains is damaged or out of date.
     """
+    require_known((name,), TUNABLE, "no controller with gains is called {}")
     return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains), params=params)
 
 
