@@ -179,6 +179,5 @@ def guard_arms(design: GuardDesign, inputs: Floats, begins: Flags, memory: Float
         torques: The commands [N m], shape (n,), written.
     """
     for arm in range(len(torques)):
-        row = inputs[arm]
-        now = GuardInputs(row[0], row[1], row[2], row[3], row[4], row[5])
+        now = GuardInputs._make(inputs[arm, k] for k in range(6))
         torques[arm] = guarded_torque(design, now, begins[arm], memory[arm])
