@@ -117,8 +117,6 @@ def read_file(path: Path = FILE) -> dict[str, Any]:
 def write_entry(name: str, gains: Gains, provenance: dict[str, Any], path: Path = FILE) -> None:
     """Write the gains of one controller to a file of gains and keep those of the others.
 
-    The file is replaced as a whole, so that an interruption leaves either the old one or the new one.
-
     Raises:
         ValueError: If the file is damaged.
         OSError: If it cannot be written.

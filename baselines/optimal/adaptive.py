@@ -65,10 +65,6 @@ class AdaptiveGains(Gains):
         """Weights of the plan."""
         return Weights(self.velocity_weight, self.torque_weight, 0.0)
 
-    def compensation(self) -> Compensation:
-        """What of friction is compensated."""
-        return Compensation(self.friction_share, self.rest_width)
-
 
 @dataclass(frozen=True)
 class AdaptiveMemory:
@@ -101,7 +97,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
-        self._cost, self._compensation = plan_cost(self._weights), self.gains.compensation()
+        self._cost = plan_cost(self._weights)
+        self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
 

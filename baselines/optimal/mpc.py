@@ -20,12 +20,9 @@ u_last],
 
 Cost. The tip's errors, linear in e (`baselines.planning.tip_error`), are squared, over 10 mm and 200 mm/s as in the
 environment's cost, and summed at the end of every step, m-fold, with weights 1 and w_v, and so is rho u^2; R v^2 is
-added once per step.
-After the last step comes the LQR's cost-to-go at the reference's angle (from the discrete algebraic Riccati equation),
-about the torsion and torque of the reference.
-
-Steps of growing length see far ahead with few unknowns, while the first ones are as short as a sample: there is no
-slower outer loop whose plan an inner one would have to follow.
+added once per step. After the last step comes the LQR's cost-to-go at the reference's angle (from the discrete
+algebraic Riccati equation), about the torsion and torque of the reference. Steps grow in length, to see far ahead with
+few unknowns; the first ones are as short as a sample.
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.models.ramps import move_of
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
-from baselines.optimal.observer_feedback import ADDED, ObserverController
+from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weights, softened_sine, write_tip_errors
@@ -197,12 +194,12 @@ class MpcDesign(NamedTuple):
 
 
 @compiled
-def _torque(design: MpcDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
+def _torque(design: MpcDesign, now: Sample, begins: bool, row: Floats) -> float:
     """Motor torque [N m], see `ObserverController`."""
-    last = 0.0 if begins else now.last_command - row[ADDED]
+    ahead, last = row[AHEAD], 0.0 if begins else now.last_command - row[ADDED]
     time, torques = CONTROL_PERIOD * now.step + design.lead, np.empty(len(design.ahead.lengths))
     plan(design.ahead, move_of(now), time, ahead, last, design.opposing, torques)
-    row[ADDED] = smooth_friction(design.friction, ahead[1], torques[0]) - disturbance
+    row[ADDED] = smooth_friction(design.friction, ahead[1], torques[0]) - row[DISTURBANCE]
     return torques[0] + row[ADDED]
 
 

@@ -1,7 +1,6 @@
 """Base of controllers that feed back what the stick-slip observer estimates: one law for one arm.
 
-Of many arms, the observer simulates its model side by side, which takes less than half the time of one after the other;
-all else is a loop over the law.
+The observer simulates its model for many arms side by side, which takes less than half the time.
 """
 
 from __future__ import annotations
@@ -13,17 +12,17 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
+from baselines.controller import ClassicalController, run_law
 from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.estimation.tracking import Track
 from baselines.planning.plan import Plans
-from baselines.reading import Reading, sample_of
+from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.engine import compiled
 
-ADDED = 0
-"""Entry of a law's row: torque beside the feedback's at the last sample [N m]."""
+AHEAD, DISTURBANCE, ADDED, OWN = slice(4), 4, 5, 6
+"""Entries of a law's row: what is estimated, x when the command acts and d [N m]; torque beside the feedback's at the
+last sample [N m]; and from `OWN` on what the law keeps besides."""
 
 
 class ObservedArm(NamedTuple):
@@ -42,21 +41,6 @@ class ObserverMemory:
     plans: Plans | None  # of a controller that plans
 
 
-@compiled
-def _run_law(
-    law: Callable[..., float],
-    design: Any,
-    reading: Reading,
-    begins: Flags,
-    ahead: Floats,
-    disturbances: Floats,
-    rows: Floats,
-    torques: Floats,
-) -> None:
-    for i in range(len(begins)):
-        torques[i] = law(design, sample_of(reading, i), begins[i], ahead[i], disturbances[i], rows[i])
-
-
 class ObserverController(ClassicalController[ObserverMemory]):
     """Base of controllers with an observer; a subclass names its `gains_type` and `feedback_law`, and writes `_known`.
 
@@ -67,15 +51,13 @@ class ObserverController(ClassicalController[ObserverMemory]):
 
     gains_type: ClassVar[type[Any]]
     feedback_law: ClassVar[Callable[..., float]]
-    """`feedback_law(design, now, begins, ahead, disturbance, row)`: motor torque [N m] of one sample of one arm, before
-    it is cut at its limit, from what is constant, a `Sample`, whether an episode begins, x when the command acts, shape
-    (4,), and d [N m]. Writes the row, its memory, in which nothing counts where an episode begins."""
+    """See `LawKernel.law`; its memory is a row, of which only the estimates count where an episode begins."""
     observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
-    row_size: ClassVar[int] = 1
+    row_size: ClassVar[int] = OWN
 
     def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains = gains or self.gains_type()
+        self.gains: Any = gains or self.gains_type()
         self._observer = self.observer(self.params, self.gains.noise())
         self._design = self._known()
 
@@ -89,8 +71,8 @@ class ObserverController(ClassicalController[ObserverMemory]):
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
         rows = memory.rows.copy() if memory else np.zeros((count, self.row_size))
         plans = self._planned(memory.plans if memory else None, reading, begins, rows)
-        law, ahead, disturbance = type(self).feedback_law, estimate.ahead, estimate.disturbance
-        _run_law(law, self._design, reading, begins, ahead, disturbance, rows, torques)
+        rows[:, AHEAD], rows[:, DISTURBANCE] = estimate.ahead, estimate.disturbance
+        run_law(type(self).feedback_law, self._design, reading, begins, rows, torques)
         return torques, ObserverMemory(estimate, rows, plans)
 
     def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans | None:

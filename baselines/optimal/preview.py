@@ -24,7 +24,7 @@ from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArms, linear_arm
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, ObserverController
+from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObserverController
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     PlanCost,
@@ -44,7 +44,7 @@ from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
-_LOW, _HIGH = slice(1, 1 + PLAN_COLUMNS), slice(1 + PLAN_COLUMNS, 1 + 2 * PLAN_COLUMNS)  # of a law's row
+_LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, OWN + 2 * PLAN_COLUMNS)  # of a law's row
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ class PreviewDesign(NamedTuple):
 
 
 @compiled
-def _torque(design: PreviewDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
+def _torque(design: PreviewDesign, now: Sample, begins: bool, row: Floats) -> float:
     """Motor torque [N m], see `ObserverController`; the row has those of the plan around the time of `ahead`."""
-    last = 0.0 if begins else now.last_command - row[ADDED]
+    ahead, last = row[AHEAD], 0.0 if begins else now.last_command - row[ADDED]
     _, share = step_of_plan(now.step + design.observer.delay)
     torque = torque_between(row[_LOW], row[_HIGH], share, ahead, last)
-    row[ADDED] = smooth_friction(design.friction, ahead[1], torque) - disturbance
+    row[ADDED] = smooth_friction(design.friction, ahead[1], torque) - row[DISTURBANCE]
     return torque + row[ADDED]
 
 
@@ -111,8 +111,9 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Planne
     if begins:
         plan_rows(move_of(now), design.plant, design.model, design.cost, 0, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
+    row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
-    return _torque(design, now, begins, track.ahead, track.disturbance[0], row)
+    return _torque(design, now, begins, row)
 
 
 class PreviewController(ObserverController):
@@ -120,7 +121,7 @@ class PreviewController(ObserverController):
 
     gains_type = PreviewGains
     feedback_law = staticmethod(_torque)
-    row_size = 1 + 2 * PLAN_COLUMNS
+    row_size = OWN + 2 * PLAN_COLUMNS
 
     def _known(self) -> PreviewDesign:
         p, g = self.params, self.gains
@@ -146,7 +147,7 @@ class PreviewController(ObserverController):
             return made
 
         plans = replaced(plans, begins, plan)
-        rows[:, 1:] = rows_at(plans, reading.step + self._design.observer.delay).reshape(len(begins), -1)
+        rows[:, OWN:] = rows_at(plans, reading.step + self._design.observer.delay).reshape(len(begins), -1)
         return plans
 
 

@@ -17,16 +17,13 @@ the first, r, is fed back so that the reaction counts K_r times:
     tau_m = M_a1 G theta_ref'' + push + tau_known + d
     push = M_a1 (K_p e + K_v e') - (K_r - 1) r
 
-The motor then answers the belt like one of inertia M_a1 / K_r, which a soft PD can damp. It raises the ratio between
-the mode with the motor free and with the motor held to H = sqrt(1 + K_r M2 / (G^2 M_a1)); the ideal is H = sqrt(5).
-Here the geared motor is 7 to 49 times as inert as the links: that would take K_r = 28 at 90 and 195 at 0 degrees, times
-the noise of a speed of which one count is 0.044 N m. K_r is one tunable number for all angles.
+The motor then answers the belt like one of inertia M_a1 / K_r, which a soft PD can damp. The ideal ratio between the
+mode with the motor free and with the motor held, H = sqrt(1 + K_r M2 / (G^2 M_a1)) = sqrt(5), would take K_r = 28 at 90
+and 195 at 0 degrees, times the noise of the speed; K_r is one tunable number for all angles.
 
-**Friction.** To the observer an error in tau_c is a load: it gets rid of it, at its pace, and g_r > g keeps it from
-being multiplied by K_r for long. Where the motor sticks, friction hides the load altogether, and the observer would
-integrate the servo's torque until the motor breaks away. It may do so where the motor is off its goal; but where the
-push is within the width that is not meant to break it away (`baselines.models.friction`), both filters are frozen, and
-r = 0.
+**Friction.** Where the motor sticks, friction hides the load, and the observer would integrate the servo's torque until
+the motor breaks away. It may do so where the motor is off its goal; where the push is within the width that is not
+meant to break it away (`baselines.models.friction`), both filters are frozen, and r = 0.
 """
 
 from __future__ import annotations

@@ -9,9 +9,8 @@ reference, as under a rigid arm's torque, but to be ahead of it by the torsion t
 rest where the link is, as far as the arm is the design model. That a PD on the motors of robots with elastic joints
 needs no state of the links is Tomei's (1991); fed forward with their flat motion and torque it is De Luca's (2000).
 
-The servo is `baselines.servo.pid`: stiff where the motor's own encoder sees, blind to the belt. No observer, nothing to
-be misled by an arm that is not the design model; but what rings then, rings on. The torque is the one in the middle of
-the sample over which it is held, a dead time T later.
+The servo is `baselines.servo.pid`, blind to the belt: what rings, rings on. The torque is the one in the middle of the
+sample over which it is held, a dead time T later.
 """
 
 from __future__ import annotations

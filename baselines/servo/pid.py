@@ -9,9 +9,7 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: those who plan the motion see to it that it is not excited. `pid_torque` follows any motion of
-the joint with its torque, `rigid_pid_torque` one with the torque of a rigid arm, and `ramp_torque` is that for a speed
-that is a sum of ramps.
+The PID ignores the belt: those who plan the motion see to it that it is not excited.
 """
 
 from __future__ import annotations

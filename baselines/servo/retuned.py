@@ -16,8 +16,7 @@ Different from `PaperController`:
 - What is fed forward is that of a dead time later (`baselines.models.actuator`), when the command acts.
 - All gains are tuned.
 
-What they trade: K_4 damps by accelerating the motor against theta_s', which it can as long as the PD is slower than the
-mode. A PD that is stiff enough to hold the motor on its reference despite friction holds it against K_4 as well.
+K_4 damps as long as the PD is slower than the mode: one that holds the motor despite friction holds it against K_4 too.
 """
 
 from __future__ import annotations

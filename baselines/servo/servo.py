@@ -32,7 +32,7 @@ class Servo(ScalarController):
 
     def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains = gains or self.gains_type()
+        self.gains: Any = gains or self.gains_type()
         self._design = self._known()
 
     def _known(self) -> Any:

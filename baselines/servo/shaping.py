@@ -12,10 +12,9 @@ cancel. Half a damped period T / 2 apart, with K = exp(-pi zeta / sqrt(1 - zeta^
 (ZV, ZVD: Singer and Seering 1990; EI, extra-insensitive, with the vibration limit V: Singhose, Seering and Singer 1994,
 exact for zeta = 0; with damping the vibration at the modelled mode is at most V.)
 
-**Which mode.** The arm's frequency falls from 57 to 22 rad/s between 0 and 90 degrees. Accelerating excites the arm
-where it is then, so the ramp up of the task's trapezoid is shaped for the mode at the start, and the ramp down for the
-mode at the goal, where what is left goes on ringing. The motor is held by its servo, so the mode is that of a fixed
-motor, see `baselines.models.modes`.
+**Which mode.** Accelerating excites the arm where it is then, so the ramp up of the task's trapezoid is shaped for the
+mode at the start, and the ramp down for the mode at the goal. The motor is held by its servo, so the mode is that of a
+fixed motor, see `baselines.models.modes`.
 
 **What delays.** A shaper delays by d = sum of A_i t_i, 0.03 to 0.15 s, which counts in full against the task. But the
 whole move is known ahead. So

@@ -1,11 +1,8 @@
 """Scenarios of the clairvoyant optimum: planned with the true arm and its drive, replayed in the environment, stored.
 
-The clairvoyant optimum (`baselines.yardsticks.clairvoyant`) knows the arm, its drive, its state and the move, which no
-controller does. The difference to a controller's cost is the most that better control, estimation or learning could
-gain, as far as a search can tell that finds local minima. The cost that is stored is that of its torques replayed in
-the environment, as float32 actions like those of any controller.
-
-`oracle.json` holds arm, move, metrics and actions of each scenario; `baselines/oracle.py` writes it.
+The difference to a controller's cost is the most that better control, estimation or learning could gain, as far as a
+search can tell that finds local minima. The cost that is stored is that of the torques replayed in the environment, as
+float32 actions. `oracle.json` holds arm, move, metrics and actions of each scenario; `baselines/oracle.py` writes it.
 """
 
 from __future__ import annotations
