@@ -213,7 +213,7 @@ def mpc_law(controller: MpcController, k: int) -> Law:
     away = 0.5 if angle < 0.8 else -0.5  # of the move's start; it ended long ago
     move, torques = MoveShape(angle + away, angle, 1.0, 0.3), np.empty((6, len(ahead.lengths)))
     for state, planned in zip(rest + np.vstack([np.zeros(5), small]), torques, strict=True):
-        plan(ahead, move, 100.0, state[:4], float(state[4]), 0.0, planned)
+        plan(ahead, move, 100.0, state, 0.0, planned)
     gain = (torques[1:, 0] - torques[0, 0]) / small.diagonal()
     return _ahead_feedback(params, k, -gain, g.noise())
 

@@ -156,24 +156,20 @@ def _set_up(p: Problem, ahead: Horizon, move: MoveShape, time: float, friction: 
 
 
 @compiled
-def plan(
-    ahead: Horizon, move: MoveShape, time: float, state: Floats, last_torque: float, friction: float, torques: Floats
-) -> None:
+def plan(ahead: Horizon, move: MoveShape, time: float, state: Floats, friction: float, torques: Floats) -> None:
     """Write the net torques [N m] of all steps that minimise the cost over the horizon.
 
     Args:
         ahead: See `horizon`.
         move: Of the joint.
         time: Since the move's start [s].
-        state: Estimated x (rad, rad/s), shape (4,).
-        last_torque: Net torque of the last sample [N m].
+        state: Estimated x (rad, rad/s) and net torque of the last sample [N m], shape (5,).
         friction: Coulomb friction that the motor has to overcome besides, while the reference moves [N m].
         torques: Shape (N,), written.
     """
-    problem, first = empty_problem(len(ahead.lengths)), np.empty(SIZE)
+    problem, first = empty_problem(len(ahead.lengths)), state.copy()
     _set_up(problem, ahead, move, time, friction)
     now = reference_at(TRAPEZOID, move, time)
-    first[:4], first[4] = state, last_torque
     first[0] -= ahead.plant.gear * now.angle
     first[1] -= ahead.plant.gear * now.speed
     minimise(problem, ahead.change_weight, first, torques)
@@ -196,10 +192,11 @@ class MpcDesign(NamedTuple):
 @compiled
 def _torque(design: MpcDesign, now: Sample, begins: bool, row: Floats) -> float:
     """Motor torque [N m], see `ObserverController`."""
-    ahead, last = row[AHEAD], 0.0 if begins else now.last_command - row[ADDED]
+    state = np.empty(SIZE)
+    state[:4], state[4] = row[AHEAD], 0.0 if begins else now.last_command - row[ADDED]
     time, torques = CONTROL_PERIOD * now.step + design.lead, np.empty(len(design.ahead.lengths))
-    plan(design.ahead, move_of(now), time, ahead, last, design.opposing, torques)
-    row[ADDED] = smooth_friction(design.friction, ahead[1], torques[0]) - row[DISTURBANCE]
+    plan(design.ahead, move_of(now), time, state, design.opposing, torques)
+    row[ADDED] = smooth_friction(design.friction, state[1], torques[0]) - row[DISTURBANCE]
     return torques[0] + row[ADDED]
 
 
