@@ -7,35 +7,38 @@ from functools import partial
 from typing import Any
 
 from baselines.gains import Tunable, tuned
-from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController, AdaptiveGains
-from baselines.optimal.lqg import LqgController, LqgGains
-from baselines.optimal.mpc import MpcController, MpcGains
-from baselines.optimal.preview import AccelerometerPreviewController, PreviewController, PreviewGains
-from baselines.optimal.robust import RobustController, RobustGains
-from baselines.servo.adrc import AdrcController, AdrcGains
-from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
-from baselines.servo.flat import FlatController, FlatGains
+from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController
+from baselines.optimal.lqg import LqgController
+from baselines.optimal.mpc import MpcController
+from baselines.optimal.preview import AccelerometerPreviewController, PreviewController
+from baselines.optimal.robust import RobustController
+from baselines.servo.adrc import AdrcController
+from baselines.servo.disturbance import DisturbanceController
+from baselines.servo.flat import FlatController
 from baselines.servo.paper import PaperController, rigid_controller
-from baselines.servo.retuned import RetunedController, RetunedGains
-from baselines.servo.shaping import EiController, ExtraInsensitiveGains, ShapingGains, ZvController, ZvdController
-from baselines.servo.smooth import SmoothController, SmoothGains
+from baselines.servo.retuned import RetunedController
+from baselines.servo.shaping import EiController, ZvController, ZvdController
+from baselines.servo.smooth import SmoothController
 from baselines.tools.command import require_known
 from beltarm_env import ArmParams
 
 TUNABLE = {
-    "retuned": Tunable(RetunedController, RetunedGains),
-    "zv": Tunable(ZvController, ShapingGains),
-    "zvd": Tunable(ZvdController, ShapingGains),
-    "ei": Tunable(EiController, ExtraInsensitiveGains),
-    "smooth": Tunable(SmoothController, SmoothGains),
-    "flat": Tunable(FlatController, FlatGains),
-    "disturbance": Tunable(DisturbanceController, DisturbanceGains),
-    "adrc": Tunable(AdrcController, AdrcGains),
-    "lqg": Tunable(LqgController, LqgGains),
-    "robust": Tunable(RobustController, RobustGains),
-    "preview": Tunable(PreviewController, PreviewGains),
-    "mpc": Tunable(MpcController, MpcGains),
-    "adaptive": Tunable(AdaptiveController, AdaptiveGains),
+    name: Tunable(controller, controller.gains_type)
+    for name, controller in {
+        "retuned": RetunedController,
+        "zv": ZvController,
+        "zvd": ZvdController,
+        "ei": EiController,
+        "smooth": SmoothController,
+        "flat": FlatController,
+        "disturbance": DisturbanceController,
+        "adrc": AdrcController,
+        "lqg": LqgController,
+        "robust": RobustController,
+        "preview": PreviewController,
+        "mpc": MpcController,
+        "adaptive": AdaptiveController,
+    }.items()
 }
 """Controllers that `baselines/tune.py` tunes, by name."""
 

@@ -85,6 +85,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
             around the reference's end; 0 leaves all to the squares.
     """
 
+    gains_type = AdaptiveGains
     remembers = True
 
     def __init__(
