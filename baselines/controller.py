@@ -74,9 +74,10 @@ class LawKernel(NamedTuple):
 
 
 @compiled
-def _run_law(
+def run_law(
     law: Callable[..., float], design: Any, reading: Reading, begins: Flags, memory: Floats, torques: Floats
 ) -> None:
+    """Write the torques [N m] of n arms, and their memory, shape (n, size)."""
     for i in range(len(begins)):
         torques[i] = law(design, sample_of(reading, i), begins[i], memory[i])
 
@@ -100,5 +101,5 @@ class ScalarController(ClassicalController[Floats]):
         count, (law, design, _) = len(begins), self.kernel()
         memory = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
         torques = np.empty(count)
-        _run_law(law, design, reading, begins, memory, torques)
+        run_law(law, design, reading, begins, memory, torques)
         return torques, memory

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from collections import namedtuple
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, astuple, dataclass, field, fields
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,14 +22,7 @@ FILE = Path(__file__).with_name("gains.json")
 
 
 def tunable(default: float, low: float, high: float, log: bool = False) -> Any:
-    """Field of `Gains` with its value before tuning, its range, and whether it is searched on a logarithmic scale.
-
-    Raises:
-        ValueError: If the value is outside its range, or the range has no logarithm.
-    """
-    if not low <= default <= high or (log and low <= 0):
-        allowed = "a range above 0 around its default" if log else "a range around its default"
-        raise ValueError(f"a gain needs {allowed}, got {default} within {low} and {high}")
+    """Field of `Gains` with its value before tuning, its range, and whether it is searched on a logarithmic scale."""
     return field(default=default, metadata={"low": low, "high": high, "log": log})
 
 
@@ -50,6 +45,22 @@ class Gains:
             if not low <= value <= high:
                 raise ValueError(f"{name} must lie within {low:g} and {high:g}, got {value!r}")
 
+    def numbers(self) -> Any:
+        """The gains as a named tuple of floats, which a kernel can read."""
+        return _numbers(type(self), map(float, astuple(self)))
+
+
+def _numbers(kind: type[Gains], values: Iterable[float]) -> Any:
+    return _numbers_of(kind)._make(values)
+
+
+@cache
+def _numbers_of(kind: type[Gains]) -> Any:
+    """Type of the numbers of a kind of gains; pickled by this kind, as it is in no module itself."""
+    made: Any = namedtuple(kind.__name__, [gain.name for gain in fields(kind)])
+    made.__reduce__ = lambda numbers: (_numbers, (kind, tuple(numbers)))
+    return made
+
 
 AnyGains = TypeVar("AnyGains", bound=Gains)
 
@@ -61,26 +72,26 @@ class Tunable(NamedTuple):
     gains: type[Gains]
 
 
-def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
-    """Tuned gains of the controller `name`, or those of `kind` if it has not been tuned.
+def tuned(name: str, kind: type[AnyGains]) -> AnyGains:
+    """Tuned gains of the controller `name` in `FILE`, or those of `kind` if it has not been tuned.
 
     Raises:
         ValueError: If the file holds gains that `kind` does not have, or no number within its range.
     """
-    entry = read_file(path).get(name)
+    entry = read_file(FILE).get(name)
     if entry is None:
         return kind()
     remedy = f"run `{this_python()} baselines/tune.py {name}`"
     known = {gain.name for gain in fields(kind)}
     if set(entry["gains"]) != known:
         raise ValueError(
-            f"{path.name} has gains {in_a_line(', '.join(sorted(entry['gains'])), 80)} for {name!r}, but it needs "
+            f"{FILE.name} has gains {in_a_line(', '.join(sorted(entry['gains'])), 80)} for {name!r}, but it needs "
             f"{', '.join(sorted(known))}: {remedy}"
         )
     try:
         return kind(**entry["gains"])
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path.name}, {name!r}: {in_a_line(error, 120)}; {remedy}") from None
+        raise ValueError(f"{FILE.name}, {name!r}: {in_a_line(error, 120)}; {remedy}") from None
 
 
 def read_file(path: Path = FILE) -> dict[str, Any]:
@@ -105,8 +116,6 @@ def read_file(path: Path = FILE) -> dict[str, Any]:
 
 def write_entry(name: str, gains: Gains, provenance: dict[str, Any], path: Path = FILE) -> None:
     """Write the gains of one controller to a file of gains and keep those of the others.
-
-    The file is replaced as a whole, so that an interruption leaves either the old one or the new one.
 
     Raises:
         ValueError: If the file is damaged.

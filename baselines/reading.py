@@ -63,11 +63,10 @@ def sample_of(reading: Reading, arm: int) -> Sample:
 
 _SCALES = observation.scales()
 _ENCODER_SIZE = len(_SCALES)  # other tiers have their own entries after it
-_AT = {name: observation.index(name) for name in (entry.name for entry in observation.ENTRIES["encoder"])}
-_MEASURED = _AT["motor_angle_error"]  # and after it errors of speed, the speed and the angle
-_REFERENCE = _AT["reference_angle"]  # and after it its speed and acceleration
-_MOVE = _AT["start"]  # and after it goal, duration, ramp time, elapsed time, last command and holds_part
-_FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_MOVE + 4]  # elapsed time that belongs to the first sample, scaled
+_BEFORE_STEP = tuple(map(observation.index, ("motor_angle_error", "motor_speed_error", *Sample._fields[2:11])))
+"""Entries of an observation, in the order of a `Sample`'s fields up to the step."""
+_ELAPSED, _LAST, _HOLDS = map(observation.index, ("elapsed_time", "last_command", "holds_part"))
+_FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_ELAPSED]  # elapsed time that belongs to the first sample, scaled
 
 
 @inlined
@@ -78,23 +77,9 @@ def sample_from(seen: Singles, torque_limit: float) -> Sample:
         seen: Of the encoder alone.
         torque_limit: That commands are scaled by [N m].
     """
-    elapsed = seen[_MOVE + 4] * _SCALES[_MOVE + 4] / CONTROL_PERIOD
-    return Sample(
-        seen[_MEASURED] * _SCALES[_MEASURED],
-        seen[_MEASURED + 1] * _SCALES[_MEASURED + 1],
-        seen[_MEASURED + 3] * _SCALES[_MEASURED + 3],
-        seen[_MEASURED + 2] * _SCALES[_MEASURED + 2],
-        seen[_REFERENCE] * _SCALES[_REFERENCE],
-        seen[_REFERENCE + 1] * _SCALES[_REFERENCE + 1],
-        seen[_REFERENCE + 2] * _SCALES[_REFERENCE + 2],
-        seen[_MOVE] * _SCALES[_MOVE],
-        seen[_MOVE + 1] * _SCALES[_MOVE + 1],
-        seen[_MOVE + 2] * _SCALES[_MOVE + 2],
-        seen[_MOVE + 3] * _SCALES[_MOVE + 3],
-        int((elapsed + ROUNDER) - ROUNDER),
-        seen[_MOVE + 5] * _SCALES[_MOVE + 5] * torque_limit,
-        seen[_MOVE + 6] * _SCALES[_MOVE + 6],
-    )
+    entries, elapsed = (seen[k] * _SCALES[k] for k in _BEFORE_STEP), seen[_ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
+    command, holds_part = seen[_LAST] * _SCALES[_LAST] * torque_limit, seen[_HOLDS] * _SCALES[_HOLDS]
+    return Sample._make((*entries, int((elapsed + ROUNDER) - ROUNDER), command, holds_part))
 
 
 def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:
@@ -155,5 +140,5 @@ def beginning(memory: object, episode_start: Flags | None, observations: Singles
         return np.ones(len(observations), np.bool_)
     if remembers:
         return np.zeros(len(observations), np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
-    begins = observations[:, _MOVE + 4] < _FIRST
+    begins = observations[:, _ELAPSED] < _FIRST
     return begins if episode_start is None else begins | np.asarray(episode_start, np.bool_)

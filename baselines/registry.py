@@ -7,34 +7,38 @@ from functools import partial
 from typing import Any
 
 from baselines.gains import Tunable, tuned
-from baselines.optimal.accelerometer import AccelerometerAdaptiveController, AccelerometerPreviewController
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.optimal.lqg import LqgController, LqgGains
-from baselines.optimal.mpc import MpcController, MpcGains
-from baselines.optimal.preview import PreviewController, PreviewGains
-from baselines.optimal.robust import RobustController, RobustGains
-from baselines.servo.adrc import AdrcController, AdrcGains
-from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
-from baselines.servo.flat import FlatController, FlatGains
+from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController
+from baselines.optimal.lqg import LqgController
+from baselines.optimal.mpc import MpcController
+from baselines.optimal.preview import AccelerometerPreviewController, PreviewController
+from baselines.optimal.robust import RobustController
+from baselines.servo.adrc import AdrcController
+from baselines.servo.disturbance import DisturbanceController
+from baselines.servo.flat import FlatController
 from baselines.servo.paper import PaperController, rigid_controller
-from baselines.servo.retuned import RetunedController, RetunedGains
-from baselines.servo.shaping import GAINS as SHAPING_GAINS
-from baselines.servo.shaping import ShapingController
-from baselines.servo.smooth import SmoothController, SmoothGains
+from baselines.servo.retuned import RetunedController
+from baselines.servo.shaping import EiController, ZvController, ZvdController
+from baselines.servo.smooth import SmoothController
+from baselines.tools.command import require_known
 from beltarm_env import ArmParams
 
 TUNABLE = {
-    "retuned": Tunable(RetunedController, RetunedGains),
-    **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
-    "smooth": Tunable(SmoothController, SmoothGains),
-    "flat": Tunable(FlatController, FlatGains),
-    "disturbance": Tunable(DisturbanceController, DisturbanceGains),
-    "adrc": Tunable(AdrcController, AdrcGains),
-    "lqg": Tunable(LqgController, LqgGains),
-    "robust": Tunable(RobustController, RobustGains),
-    "preview": Tunable(PreviewController, PreviewGains),
-    "mpc": Tunable(MpcController, MpcGains),
-    "adaptive": Tunable(AdaptiveController, AdaptiveGains),
+    name: Tunable(controller, controller.gains_type)
+    for name, controller in {
+        "retuned": RetunedController,
+        "zv": ZvController,
+        "zvd": ZvdController,
+        "ei": EiController,
+        "smooth": SmoothController,
+        "flat": FlatController,
+        "disturbance": DisturbanceController,
+        "adrc": AdrcController,
+        "lqg": LqgController,
+        "robust": RobustController,
+        "preview": PreviewController,
+        "mpc": MpcController,
+        "adaptive": AdaptiveController,
+    }.items()
 }
 """Controllers that `baselines/tune.py` tunes, by name."""
 
@@ -47,8 +51,9 @@ def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
         params: The design model, see `baselines.controller`.
 
     Raises:
-        ValueError: If the file of gains is damaged or out of date.
+        ValueError: If there is none with gains of this name, or the file of gains is damaged or out of date.
     """
+    require_known((name,), TUNABLE, "no controller with gains is called {}")
     return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains), params=params)
 
 

@@ -34,7 +34,8 @@ def run(config: Config) -> None:
     require_bounds(config, time_limit=(1, LONGEST))
     failed = 0
     for finding in isolated_findings(config.controller, config.time_limit):
-        print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}", flush=True)
+        verdict = "FAILED" if not finding.passed else "late" if finding.late else "ok"
+        print(f"{verdict:6}  {finding.check}: {finding.detail}", flush=True)
         if config.traceback and finding.trace:
             print(finding.trace, file=sys.stderr)
         failed += not finding.passed

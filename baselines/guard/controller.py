@@ -97,24 +97,14 @@ class GuardedController:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         begins = beginning(state, episode_start, observation)
         if state is None:
-            nothing = np.zeros((len(begins), GUARD_SIZE))
-            state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), nothing)
+            state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
         action, own = self.controller.predict(observation, state.own, episode_start, deterministic)
         servo, fallback, asked = self._servo_torque(observation, state, begins)
         limit, parts = self.params.torque_limit, self.parts(action, own)
-        inputs = np.stack(
-            [
-                limit * parts.base,
-                limit * parts.residual,
-                limit * servo,
-                observation[:, _ANGLE] * _ANGLE_SCALE,
-                parts.surprise,
-                limit * observation[:, _LAST].astype(np.float64),
-            ],
-            axis=1,
-        ).astype(np.float64)
+        angle, last = observation[:, _ANGLE] * _ANGLE_SCALE, limit * observation[:, _LAST].astype(np.float64)
+        inputs = (limit * parts.base, limit * parts.residual, limit * servo, angle, parts.surprise, last)
         guard, torques = state.guard.copy(), np.empty(len(begins))
-        guard_arms(self._design, inputs, begins, guard, torques)
+        guard_arms(self._design, np.column_stack(inputs), begins, guard, torques)
         memory = GuardedMemory(own, fallback, asked, guard)
         guarded = (torques / limit).astype(np.float32)[:, None]
         # Its own command to the last bit where the guard has nothing to change.

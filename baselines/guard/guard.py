@@ -14,8 +14,6 @@ which doubles with every fall; not from level 3, which lasts for the rest of the
 encoder that lies is safe. Where there is no servo, the base keeps the motor: level 2 is then without residual alone.
 
 While a single sample is not plausible, the last command is held: a speed by differencing is then no speed.
-
-The guard does not know what is wrong, and needs no model but that of the motor (`baselines.guard.encoder`).
 """
 
 from __future__ import annotations
@@ -179,6 +177,5 @@ def guard_arms(design: GuardDesign, inputs: Floats, begins: Flags, memory: Float
         torques: The commands [N m], shape (n,), written.
     """
     for arm in range(len(torques)):
-        row = inputs[arm]
-        now = GuardInputs(row[0], row[1], row[2], row[3], row[4], row[5])
+        now = GuardInputs._make(inputs[arm, k] for k in range(6))
         torques[arm] = guarded_torque(design, now, begins[arm], memory[arm])

@@ -12,7 +12,7 @@ import numpy as np
 from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.estimation.identification import IdentifyingController
 from baselines.loops.margins import Margins, margins_from_poles
-from baselines.loops.models import Loop, Poles, System, arms_at_angles, laws_at_angles, poles_of
+from baselines.loops.models import Loop, Poles, System, laws_at_angles, poles_of, sampled_arm
 from baselines.models.corners import CORNERS
 from baselines.models.linear import ANGLES
 from beltarm_env import ArmParams
@@ -73,7 +73,7 @@ def _place(values: Floats, names: Sequence[str]) -> str:
 
 @cache
 def _arm_at_angles(name: str) -> list[System]:
-    return arms_at_angles(CORNERS[name])
+    return [sampled_arm(CORNERS[name], float(angle)) for angle in ANGLES]
 
 
 def believing(controller: Any, arm: ArmParams) -> Any:

@@ -21,15 +21,12 @@ import numpy as np
 
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
-from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.optimal.horizon import Horizon, horizon
-from baselines.optimal.horizon import plan as plan_horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.mpc import MpcController
+from baselines.optimal.mpc import MpcController, horizon, plan
 from baselines.optimal.preview import PreviewController
 from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
@@ -161,19 +158,13 @@ def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> La
 
 def lqg_law(controller: LqgController, k: int) -> Law:
     """State feedback, optimal or robust."""
-    return _ahead_feedback(controller.params, k, controller.feedback[k], controller.gains.noise())
+    return _ahead_feedback(controller.params, k, controller.feedback()[k], controller.gains.noise())
 
 
 def preview_law(controller: PreviewController, k: int) -> Law:
     """Gain of the plan at rest, long before the episode's end: that of LQG with the same weights."""
     params, g = controller.params, controller.gains
     return _ahead_feedback(params, k, feedback_gains(params, g.weights())[k], g.noise())
-
-
-def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
-    """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
-    arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
-    return steady_gain(arm, uncertainty.torque, uncertainty.acceleration, uncertainty.decay, growth, QUANTUM**2 / 120)
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
@@ -186,8 +177,10 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)
     a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), ANGLES[k])
     gain = controller.resting_gain(ANGLES[k])
-    filter_gain = identification_gain(params, uncertainty, k)
-    by_torque = np.append(_linear_arm(params).by_torque[k], np.zeros(len(a) - 4))
+    arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
+    noise = uncertainty.torque, uncertainty.acceleration
+    filter_gain = steady_gain(arm, *noise, uncertainty.decay, growth, QUANTUM**2 / 120)  # the constants held
+    by_torque = np.append(arm.by_torque, np.zeros(len(a) - 4))
     delay = (params.command_latency + lag) / CONTROL_PERIOD
     whole = int(delay)
 
@@ -208,24 +201,20 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
 _horizon = lru_cache(maxsize=8)(horizon)
 
 
-def horizon_gain(ahead: Horizon, angle: float) -> Floats:
-    """Derivative of the first net torque planned by [x, net torque of the last sample] at rest, shape (5,).
+def mpc_law(controller: MpcController, k: int) -> Law:
+    """First torque of the horizon's plan: its derivative by [x, net torque of the last sample] at rest.
 
     The plan is linear where it keeps within the torque limit: one difference for each entry is exact.
     """
+    params, g, angle = controller.params, controller.gains, float(ANGLES[k])
+    ahead = _horizon(params, g.weights())
     rest = np.array([ahead.plant.gear * angle, 0.0, 0.0, 0.0, 0.0])
     small = np.diag([1e-3, 1e-2, 1e-5, 1e-3, 1e-3])
     away = 0.5 if angle < 0.8 else -0.5  # of the move's start; it ended long ago
     move, torques = MoveShape(angle + away, angle, 1.0, 0.3), np.empty((6, len(ahead.lengths)))
     for state, planned in zip(rest + np.vstack([np.zeros(5), small]), torques, strict=True):
-        plan_horizon(ahead, move, 100.0, state[:4], float(state[4]), 0.0, planned)
-    return (torques[1:, 0] - torques[0, 0]) / small.diagonal()
-
-
-def mpc_law(controller: MpcController, k: int) -> Law:
-    """First torque of the horizon's plan."""
-    params, g = controller.params, controller.gains
-    gain = horizon_gain(_horizon(params, g.weights()), float(ANGLES[k]))
+        plan(ahead, move, 100.0, state, 0.0, planned)
+    gain = (torques[1:, 0] - torques[0, 0]) / small.diagonal()
     return _ahead_feedback(params, k, -gain, g.noise())
 
 

@@ -71,11 +71,6 @@ def laws_at_angles(controller: Any) -> list[System]:
     return [law_system(law_of(controller, k)) for k in range(len(ANGLES))]
 
 
-def arms_at_angles(params: ArmParams) -> list[System]:
-    """An arm at each of `ANGLES`."""
-    return [sampled_arm(params, float(angle)) for angle in ANGLES]
-
-
 def loop_at(controller: Any, k: int, params: ArmParams | None = None) -> Loop:
     """Loop of a controller at `ANGLES[k]`, on the arm that it believes in or on another."""
     return Loop(law_system(law_of(controller, k)), sampled_arm(params or controller.params, float(ANGLES[k])))
@@ -89,24 +84,15 @@ def closed_poles(loop: Loop, gain: float = 1.0) -> Poles:
     return np.linalg.eigvals(np.block(rows)).astype(np.complex128)
 
 
-def open_poles(loop: Loop) -> Poles:
-    """Poles z of L: those of the arm and of the law; shape (m,)."""
-    return np.concatenate([np.linalg.eigvals(loop.arm.a), np.linalg.eigvals(loop.law.a)]).astype(np.complex128)
-
-
 def poles_of(loops: Sequence[Loop]) -> tuple[Poles, Poles]:
     """Open and closed poles z of n loops, shape (n, m) each; loops of a lower order have poles at 0 in both."""
     size = max(len(law.a) + len(arm.a) for law, arm in loops)
     both = np.zeros((2, len(loops), size), np.complex128)
     for i, loop in enumerate(loops):
-        for poles, found in zip(both[:, i], (open_poles(loop), closed_poles(loop)), strict=True):
-            poles[: len(found)] = found
+        opened = np.concatenate([np.linalg.eigvals(loop.arm.a), np.linalg.eigvals(loop.law.a)])
+        closed = closed_poles(loop)
+        both[0, i, : len(opened)], both[1, i, : len(closed)] = opened, closed
     return both[0], both[1]
-
-
-def is_stable(loop: Loop, gain: float = 1.0) -> bool:
-    """Whether all poles of the closed loop lie inside the unit circle."""
-    return bool(np.abs(closed_poles(loop, gain)).max() < 1)
 
 
 def slowest_first(s: Poles) -> Poles:

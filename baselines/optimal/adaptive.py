@@ -27,14 +27,7 @@ from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.adaptive_law import (
-    AdaptiveDesign,
-    Compensation,
-    arm_memory,
-    law,
-    write_compensations,
-    write_motor_torques,
-)
+from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
 from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
@@ -72,22 +65,6 @@ class AdaptiveGains(Gains):
         """Weights of the plan."""
         return Weights(self.velocity_weight, self.torque_weight, 0.0)
 
-    def compensation(self) -> Compensation:
-        """What of friction is compensated."""
-        return Compensation(self.friction_share, self.rest_width)
-
-    def compensated(self, friction: Floats, direction: Floats, torque: Floats) -> Floats:
-        """Compute the torques c tau_f dir [N m] that overcome friction, for n motors.
-
-        Args:
-            friction: Of each while it slides forward [N m].
-            direction: In which it slides, -1 or 1; 0 where it sticks.
-            torque: Asked of the motors beside that [N m].
-        """
-        result = np.empty(len(torque))
-        write_compensations(self.compensation(), friction, direction, torque, result)
-        return result
-
 
 @dataclass(frozen=True)
 class AdaptiveMemory:
@@ -108,6 +85,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
             around the reference's end; 0 leaves all to the squares.
     """
 
+    gains_type = AdaptiveGains
     remembers = True
 
     def __init__(
@@ -120,7 +98,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
-        self._cost, self._compensation = plan_cost(self._weights), self.gains.compensation()
+        self._cost = plan_cost(self._weights)
+        self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
 
@@ -165,6 +144,12 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""
         return self._identifier.update(belief, reading, begins)
+
+
+class AccelerometerAdaptiveController(AdaptiveController):
+    """Adaptive preview LQG on encoder and accelerometer."""
+
+    sensors = "accelerometer"
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:

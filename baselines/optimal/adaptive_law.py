@@ -13,14 +13,7 @@ import numpy as np
 
 from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
 from baselines.estimation.filter_design import Design, Inputs, Room, empty_inputs, room_for, write_inputs
-from baselines.estimation.identify import (
-    Estimate,
-    Notes,
-    empty_estimate,
-    empty_notes,
-    estimate,
-    identify,
-)
+from baselines.estimation.identify import Estimate, Notes, empty_estimate, empty_notes, estimate, identify
 from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
 from baselines.models.ramps import move_of
@@ -53,13 +46,6 @@ def compensated(of: Compensation, friction: float, direction: float, torque: flo
         torque: Asked of it beside that [N m].
     """
     return of.share * friction * (direction if direction != 0.0 else min(max(torque / of.width, -1.0), 1.0))
-
-
-@compiled
-def write_compensations(of: Compensation, friction: Floats, direction: Floats, torque: Floats, result: Floats) -> None:
-    """Write what `compensated` says of n motors; arrays of shape (n,)."""
-    for arm in range(len(torque)):
-        result[arm] = compensated(of, friction[arm], direction[arm], torque[arm])
 
 
 @inlined

@@ -12,9 +12,8 @@ the reference. It minimises
 
 with the tip's errors about an arm at rest at the angle, linear in z = x - x_flat (`baselines.planning.tip_error`).
 
-`baselines.optimal.preview` weighs the same errors, but over the whole move at once: its gains vary with time, and its
-feed-forward is the optimum for the trapezoid itself. Here the move is first made one that the arm can follow; how
-smooth it is, in periods of the belt's mode, is tuned. Friction is compensated as in preview.
+`baselines.optimal.preview` weighs the same errors over the whole move at once. Here the move is first made one that the
+arm can follow; how smooth it is, in periods of the belt's mode, is tuned. Friction is compensated as in preview.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_co
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObservedArm, ObserverController
+from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObservedArm, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
@@ -42,7 +41,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 
-_MOVE = slice(1, 1 + CORNERS)  # of a law's row: the smoothed move
+_MOVE = slice(OWN, OWN + CORNERS)  # of a law's row: the smoothed move
 
 
 @dataclass(frozen=True)
@@ -83,9 +82,9 @@ class LqgDesign(NamedTuple):
 
 
 @compiled
-def _torque(design: LqgDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
-    """Motor torque [N m], see `FeedbackLaw`."""
-    corners, last = row[_MOVE], now.last_command - row[ADDED]
+def _torque(design: LqgDesign, now: Sample, begins: bool, row: Floats) -> float:
+    """Motor torque [N m], see `ObserverController`."""
+    corners, ahead, last = row[_MOVE], row[AHEAD], now.last_command - row[ADDED]
     if begins:
         write_corners(move_of(now), design.plant, design.first_spread, design.spread, corners)
         last = 0.0
@@ -100,49 +99,34 @@ def _torque(design: LqgDesign, now: Sample, begins: bool, ahead: Floats, disturb
     feedback += between(low[3], high[3], weight) * (ahead[3] - wanted.torsion_speed)
     deviation = -feedback - between(low[4], high[4], weight) * last
     friction = smooth_friction(design.friction, ahead[1], held.torque + deviation)
-    row[ADDED] = held.torque + friction - disturbance
+    row[ADDED] = held.torque + friction - row[DISTURBANCE]
     return deviation + row[ADDED]
 
 
 @compiled
 def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: ObservedArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    track = memory.track
+    track, row = memory.track, memory.row
     track_arm(design.observer, now, begins, track)
-    return _torque(design, now, begins, track.ahead, track.disturbance[0], memory.row)
+    row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
+    return _torque(design, now, begins, row)
 
 
 class LqgController(ObserverController):
-    """Flatness feed-forward and gain-scheduled LQG on encoder observations.
+    """Flatness feed-forward and gain-scheduled LQG on encoder observations."""
 
-    Args:
-        gains: Smoothness, weights and noise.
-        params: The design model.
-    """
+    gains_type = LqgGains
+    feedback_law = staticmethod(_torque)
+    row_size = OWN + CORNERS
 
-    row_size = 1 + CORNERS
+    def _known(self) -> LqgDesign:
+        p, g = self.params, self.gains
+        spreads = g.first_spread, g.spread
+        return LqgDesign(self._observer.design, p.plant(), *spreads, self.feedback(), g.compensation(p))
 
-    def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or LqgGains()
-        super().__init__(self.gains.noise(), params)
-        self.feedback = self._feedback()
-        """Gains K at each of `ANGLES`, shape (46, 5)."""
-        self._design = LqgDesign(
-            self._observer.design,
-            self.params.plant(),
-            self.gains.first_spread,
-            self.gains.spread,
-            self.feedback,
-            self.gains.compensation(self.params),
-        )
-
-    def _feedback(self) -> Floats:
+    def feedback(self) -> Floats:
         """Gains K at each of `ANGLES`, shape (46, 5)."""
         return feedback_gains(self.params, self.gains.weights())
-
-    def feedback_law(self) -> FeedbackLaw:
-        """The law for one arm."""
-        return FeedbackLaw(_torque, self._design)
 
     def kernel(self) -> LawKernel:
         """The law for one arm, with its observer."""

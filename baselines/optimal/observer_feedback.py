@@ -1,7 +1,6 @@
 """Base of controllers that feed back what the stick-slip observer estimates: one law for one arm.
 
-Of many arms, the observer simulates its model side by side, which takes less than half the time of one after the other;
-all else is a loop over the law.
+The observer simulates its model for many arms side by side, which takes less than half the time.
 """
 
 from __future__ import annotations
@@ -13,26 +12,17 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
-from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.controller import ClassicalController, run_law
+from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.estimation.tracking import Track
-from baselines.reading import Reading, sample_of
+from baselines.planning.plan import Plans
+from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.engine import compiled
 
-ADDED = 0
-"""Entry of a law's row: torque beside the feedback's at the last sample [N m]."""
-
-
-class FeedbackLaw(NamedTuple):
-    """Law for one arm whose state is estimated."""
-
-    law: Callable[..., float]
-    """`law(design, now, begins, ahead, disturbance, row)`: motor torque [N m] of one sample, before it is cut at its
-    limit, from what is constant, a `Sample`, whether an episode begins, x when the command acts, shape (4,), and d
-    [N m]. Writes the row, its memory, in which nothing counts where an episode begins."""
-    design: Any  # named tuple of numbers and arrays
+AHEAD, DISTURBANCE, ADDED, OWN = slice(4), 4, 5, 6
+"""Entries of a law's row: what is estimated, x when the command acts and d [N m]; torque beside the feedback's at the
+last sample [N m]; and from `OWN` on what the law keeps besides."""
 
 
 class ObservedArm(NamedTuple):
@@ -44,54 +34,47 @@ class ObservedArm(NamedTuple):
 
 @dataclass(frozen=True)
 class ObserverMemory:
-    """Estimates of n arms, and the memory of their laws."""
+    """Estimates of n arms, the memory of their laws, and their plans."""
 
     estimate: Estimate
     rows: Floats  # shape (n, size)
-
-
-@compiled
-def _run_law(
-    law: Callable[..., float],
-    design: Any,
-    reading: Reading,
-    begins: Flags,
-    ahead: Floats,
-    disturbances: Floats,
-    rows: Floats,
-    torques: Floats,
-) -> None:
-    for i in range(len(begins)):
-        torques[i] = law(design, sample_of(reading, i), begins[i], ahead[i], disturbances[i], rows[i])
+    plans: Plans | None  # of a controller that plans
 
 
 class ObserverController(ClassicalController[ObserverMemory]):
-    """Base of controllers with an observer; a subclass writes `feedback_law`.
+    """Base of controllers with an observer; a subclass names its `gains_type` and `feedback_law`, and writes `_known`.
 
     Args:
-        noise: Process noise of the observer.
+        gains: Of this type; those before tuning if not given.
         params: The design model.
     """
 
+    gains_type: ClassVar[type[Any]]
+    feedback_law: ClassVar[Callable[..., float]]
+    """See `LawKernel.law`; its memory is a row, of which only the estimates count where an episode begins."""
     observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
-    row_size: ClassVar[int] = 1
+    row_size: ClassVar[int] = OWN
 
-    def __init__(self, noise: Noise, params: ArmParams | None) -> None:
+    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self._observer = self.observer(self.params, noise)
+        self.gains: Any = gains or self.gains_type()
+        self._observer = self.observer(self.params, self.gains.noise())
+        self._design = self._known()
 
     @abstractmethod
-    def feedback_law(self) -> FeedbackLaw:
-        """The law for one arm, with a row of `row_size` entries."""
+    def _known(self) -> Any:
+        """What the law knows: a named tuple of numbers and arrays."""
 
     def law(self, reading: Reading, begins: Flags, memory: ObserverMemory | None) -> tuple[Floats, ObserverMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
+        count, torques = len(begins), np.empty(len(begins))
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        rows = memory.rows.copy() if memory else np.zeros((len(begins), self.row_size))
-        return self._torques(reading, begins, estimate, rows), ObserverMemory(estimate, rows)
+        rows = memory.rows.copy() if memory else np.zeros((count, self.row_size))
+        plans = self._planned(memory.plans if memory else None, reading, begins, rows)
+        rows[:, AHEAD], rows[:, DISTURBANCE] = estimate.ahead, estimate.disturbance
+        run_law(type(self).feedback_law, self._design, reading, begins, rows, torques)
+        return torques, ObserverMemory(estimate, rows, plans)
 
-    def _torques(self, reading: Reading, begins: Flags, estimate: Estimate, rows: Floats) -> Floats:
-        """Torques of n arms [N m]; their rows are written."""
-        torques = np.empty(len(begins))
-        _run_law(*self.feedback_law(), reading, begins, estimate.ahead, estimate.disturbance, rows, torques)
-        return torques
+    def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans | None:
+        """Plans of n arms; what the laws need of them is written to their rows."""
+        return plans

@@ -17,13 +17,14 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.controller import LawKernel
+from baselines.estimation.accelerometer_observer import AccelerometerObserver
 from baselines.estimation.observer import Noise
 from baselines.estimation.tracking import ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArms, linear_arm
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObserverController, ObserverMemory
+from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObserverController
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     PlanCost,
@@ -43,7 +44,7 @@ from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
-_LOW, _HIGH = slice(1, 1 + PLAN_COLUMNS), slice(1 + PLAN_COLUMNS, 1 + 2 * PLAN_COLUMNS)  # of a law's row
+_LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, OWN + 2 * PLAN_COLUMNS)  # of a law's row
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,12 @@ class PreviewDesign(NamedTuple):
 
 
 @compiled
-def _torque(design: PreviewDesign, now: Sample, begins: bool, ahead: Floats, disturbance: float, row: Floats) -> float:
-    """Motor torque [N m], see `FeedbackLaw`; the row has the plan's rows around the time at which the command acts."""
-    last = 0.0 if begins else now.last_command - row[ADDED]
+def _torque(design: PreviewDesign, now: Sample, begins: bool, row: Floats) -> float:
+    """Motor torque [N m], see `ObserverController`; the row has those of the plan around the time of `ahead`."""
+    ahead, last = row[AHEAD], 0.0 if begins else now.last_command - row[ADDED]
     _, share = step_of_plan(now.step + design.observer.delay)
     torque = torque_between(row[_LOW], row[_HIGH], share, ahead, last)
-    row[ADDED] = smooth_friction(design.friction, ahead[1], torque) - disturbance
+    row[ADDED] = smooth_friction(design.friction, ahead[1], torque) - row[DISTURBANCE]
     return torque + row[ADDED]
 
 
@@ -110,59 +111,48 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Planne
     if begins:
         plan_rows(move_of(now), design.plant, design.model, design.cost, 0, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
+    row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
-    return _torque(design, now, begins, track.ahead, track.disturbance[0], row)
-
-
-@dataclass(frozen=True)
-class PreviewMemory(ObserverMemory):
-    """Estimates of n arms, the memory of their laws, and their plans."""
-
-    plans: Plans
+    return _torque(design, now, begins, row)
 
 
 class PreviewController(ObserverController):
-    """Preview LQG on encoder observations.
+    """Preview LQG on encoder observations."""
 
-    Args:
-        gains: Weights and noise.
-        params: The design model.
-    """
+    gains_type = PreviewGains
+    feedback_law = staticmethod(_torque)
+    row_size = OWN + 2 * PLAN_COLUMNS
 
-    row_size = 1 + 2 * PLAN_COLUMNS
-
-    def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or PreviewGains()
-        super().__init__(self.gains.noise(), params)
-        self._design = PreviewDesign(
-            self._observer.design,
-            self.params.plant(),
-            linear_arm(self.params),
-            plan_cost(self.gains.weights()),
-            self.gains.compensation(self.params),
-        )
-
-    def feedback_law(self) -> FeedbackLaw:
-        """The law for one arm."""
-        return FeedbackLaw(_torque, self._design)
+    def _known(self) -> PreviewDesign:
+        p, g = self.params, self.gains
+        model, cost = linear_arm(p), plan_cost(g.weights())
+        return PreviewDesign(self._observer.design, p.plant(), model, cost, g.compensation(p))
 
     def kernel(self) -> LawKernel:
-        """The law for one arm, with its observer."""
+        """The law for one arm, with its observer.
+
+        Raises:
+            TypeError: If there is an accelerometer, which a `Sample` does not have.
+        """
+        if self.sensors != "encoder":
+            raise TypeError("the law for one arm reads the encoder alone: take the kernel of PreviewController")
         plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
         return LawKernel(preview_law, self._design, PlannedArm(self._observer.track(), plan, np.zeros(self.row_size)))
 
-    def law(self, reading: Reading, begins: Flags, memory: ObserverMemory | None) -> tuple[Floats, PreviewMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        known = memory if isinstance(memory, PreviewMemory) else None
-        estimate = self._observer.update(known.estimate if known else None, reading, begins)
-        plans = replaced(known.plans if known else None, begins, lambda arm: self._planned(reading.move[arm]))
-        rows = known.rows.copy() if known else np.zeros((len(begins), self.row_size))
-        time = reading.step.astype(np.float64) + self._design.observer.delay
-        rows[:, 1:] = rows_at(plans, time).reshape(len(begins), -1)
-        return self._torques(reading, begins, estimate, rows), PreviewMemory(estimate, rows, plans)
+    def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans:
+        def plan(arm: int) -> Floats:
+            made, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
+            move = MoveShape(*reading.move[arm].tolist())
+            plan_rows(move, design.plant, design.model, design.cost, 0, made)
+            return made
 
-    def _planned(self, move: Floats) -> Floats:
-        """Plan of one move."""
-        rows, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
-        plan_rows(MoveShape(*move.tolist()), design.plant, design.model, design.cost, 0, rows)
-        return rows
+        plans = replaced(plans, begins, plan)
+        rows[:, OWN:] = rows_at(plans, reading.step + self._design.observer.delay).reshape(len(begins), -1)
+        return plans
+
+
+class AccelerometerPreviewController(PreviewController):
+    """Preview LQG on encoder and accelerometer."""
+
+    sensors = "accelerometer"
+    observer = AccelerometerObserver

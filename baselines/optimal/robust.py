@@ -133,18 +133,17 @@ def loops_at(params: ArmParams, k: int, weights: Weights, noise: Noise, stopped:
     transition[:, d] += filter_gain[4] * innovation
     return Loops(
         transition,
-        _fed_back(transition, estimate, d, v, model, by_command[:, 0], dead_time(params) / CONTROL_PERIOD),
+        _fed_back(transition, estimate, model, by_command[:, 0], dead_time(params) / CONTROL_PERIOD),
         spectra,
         _cost(params, angle, weights, size),
         v,
     )
 
 
-def _fed_back(
-    transition: Floats, estimate: slice, d: int, v: int, model: Floats, by_command: Floats, delay: float
-) -> Floats:
+def _fed_back(transition: Floats, estimate: slice, model: Floats, by_command: Floats, delay: float) -> Floats:
     """F: the estimate, predicted over a delay [samples] under the torque that is held, and v."""
     count, size = transition.shape[:2]
+    d, v = size - 5, size - 4
     held = transition[:, d].copy()  # tau_last + d, with d as corrected
     held[:, d] -= 1.0
     held[:, v] += 1.0
@@ -274,22 +273,15 @@ def write_gains(path: Path = FILE) -> None:
 
 
 class RobustController(LqgController):
-    """Flatness feed-forward and robust LQ on encoder observations.
+    """Flatness feed-forward and robust LQ on encoder observations; the corners lie about the design model."""
 
-    Args:
-        gains: Smoothness, weights and noise.
-        params: The design model, about which the corners lie.
-    """
-
-    gains: RobustGains
-
-    def __init__(self, gains: RobustGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(gains or RobustGains(), params)
+    gains_type = RobustGains
 
     @property
     def design(self) -> Design:
         """What its feedback gains are found for."""
         return Design(self.params, self.gains.weights(), self.gains.noise(), self.gains.angle_noise)
 
-    def _feedback(self) -> Floats:
+    def feedback(self) -> Floats:
+        """Gains K at each of `ANGLES`, shape (46, 5)."""
         return robust_gains(self.design)

@@ -32,17 +32,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.flatness import CORNERS, SpreadGains, write_corners
-from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.friction import FrictionGains, compensated
 from baselines.models.ramps import move_of
 from baselines.models.rigid_arm import inertia_at, motor_errors
 from baselines.reading import Sample
 from baselines.servo.flat import held_torque, joint_motion
+from baselines.servo.servo import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.timing import MAX_LATENCY
@@ -116,16 +115,11 @@ def feedback(z: ExtendedState, bandwidth: float) -> float:
 
 
 class AdrcDesign(NamedTuple):
-    """What the law knows: the design model and the gains."""
+    """What the law knows."""
 
-    plant: Plant
-    compensation: Compensation
-    lead: float  # T [s]
+    servo: ServoDesign
     late: int  # whole samples of T
     rest: float  # what T is beyond them [samples]
-    first_spread: float
-    spread: float
-    bandwidth: float  # w_c
     observer: ObserverGains
 
 
@@ -147,12 +141,13 @@ def _observed(design: AdrcDesign, now: Sample, measured: float, inertia: float, 
 @compiled
 def adrc_law(design: AdrcDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the arm is at rest where an episode begins."""
-    plant, corners = design.plant, memory[_MOVE]
+    servo, corners = design.servo, memory[_MOVE]
+    plant, gains = servo.plant, servo.gains
     if begins:
-        write_corners(move_of(now), plant, design.first_spread, design.spread, corners)
+        write_corners(move_of(now), plant, gains.first_spread, gains.spread, corners)
         memory[PUSHES:] = 0.0
     time = CONTROL_PERIOD * now.step
-    later = time + design.lead
+    later = time + servo.lead
     wanted, led = joint_motion(corners, time, plant), joint_motion(corners, later, plant)
     error, _ = motor_errors(now, wanted, plant.gear)
     inertia = inertia_at(wanted.angle, plant)
@@ -160,31 +155,22 @@ def adrc_law(design: AdrcDesign, now: Sample, begins: bool, memory: Floats) -> f
         z = ExtendedState(-error, 0.0, 0.0)
     else:
         z = _observed(design, now, -error, inertia, memory)
-    push = inertia * feedback(z, design.bandwidth)
-    friction, direction = compensated(led, push, plant.gear, design.compensation)
+    push = inertia * feedback(z, gains.bandwidth)
+    friction, direction = compensated(led, push, plant.gear, servo.compensation)
     added = held_torque(corners, later, plant) + friction
     memory[ERROR], memory[RATE], memory[ACCELERATION] = z.error, z.rate, z.acceleration
     memory[ADDED], memory[HELD] = added, 1.0 if abs(direction) < 1 else 0.0
     return added + push
 
 
-class AdrcController(ScalarController):
-    """Active disturbance rejection about a flat motion, on encoder observations.
+class AdrcController(Servo):
+    """Active disturbance rejection about a flat motion, on encoder observations."""
 
-    Args:
-        gains: Smoothness and bandwidths.
-        params: The design model.
-    """
-
+    gains_type = AdrcGains
     arm_law = staticmethod(adrc_law)
     memory_size = PUSHES + _MOST_PUSHES
 
-    def __init__(self, gains: AdrcGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains = g = gains or AdrcGains()
-        p, lead = self.params, dead_time(self.params)
-        late, rest = divmod(lead / CONTROL_PERIOD, 1.0)
-        spreads = g.first_spread, g.spread
-        self._design = AdrcDesign(
-            p.plant(), g.compensation(p), lead, int(late), rest, *spreads, g.bandwidth, observer_gains(g.observer)
-        )
+    def _known(self) -> AdrcDesign:
+        servo = super()._known()
+        late, rest = divmod(servo.lead / CONTROL_PERIOD, 1.0)
+        return AdrcDesign(servo, int(late), rest, observer_gains(self.gains.observer))

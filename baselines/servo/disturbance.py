@@ -17,16 +17,13 @@ the first, r, is fed back so that the reaction counts K_r times:
     tau_m = M_a1 G theta_ref'' + push + tau_known + d
     push = M_a1 (K_p e + K_v e') - (K_r - 1) r
 
-The motor then answers the belt like one of inertia M_a1 / K_r, which a soft PD can damp. It raises the ratio between
-the mode with the motor free and with the motor held to H = sqrt(1 + K_r M2 / (G^2 M_a1)); the ideal is H = sqrt(5).
-Here the geared motor is 7 to 49 times as inert as the links: that would take K_r = 28 at 90 and 195 at 0 degrees, times
-the noise of a speed of which one count is 0.044 N m. K_r is one tunable number for all angles.
+The motor then answers the belt like one of inertia M_a1 / K_r, which a soft PD can damp. The ideal ratio between the
+mode with the motor free and with the motor held, H = sqrt(1 + K_r M2 / (G^2 M_a1)) = sqrt(5), would take K_r = 28 at 90
+and 195 at 0 degrees, times the noise of the speed; K_r is one tunable number for all angles.
 
-**Friction.** To the observer an error in tau_c is a load: it gets rid of it, at its pace, and g_r > g keeps it from
-being multiplied by K_r for long. Where the motor sticks, friction hides the load altogether, and the observer would
-integrate the servo's torque until the motor breaks away. It may do so where the motor is off its goal; but where the
-push is within the width that is not meant to break it away (`baselines.models.friction`), both filters are frozen, and
-r = 0.
+**Friction.** Where the motor sticks, friction hides the load, and the observer would integrate the servo's torque until
+the motor breaks away. It may do so where the motor is off its goal; where the push is within the width that is not
+meant to break it away (`baselines.models.friction`), both filters are frozen, and r = 0.
 """
 
 from __future__ import annotations
@@ -36,15 +33,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ScalarController
 from baselines.gains import tunable
-from baselines.models.actuator import dead_time
-from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.friction import FrictionGains, compensated
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import link_torque, motor_errors
 from baselines.reading import Sample
-from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant
+from baselines.servo.servo import Servo, ServoDesign
+from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 
@@ -65,22 +60,17 @@ class DisturbanceGains(FrictionGains):
 
 
 class DisturbanceDesign(NamedTuple):
-    """What the law knows: the design model and the gains."""
+    """What the law knows."""
 
-    plant: Plant
-    compensation: Compensation
-    lead: float  # T [s]
-    angle: float  # K_p
-    speed: float  # K_v
+    servo: ServoDesign
     share: float  # 1 - exp(-g dt)
     fast_share: float  # the same of g_r
-    reaction_gain: float  # K_r
 
 
 @inlined
 def _observe(design: DisturbanceDesign, now: Sample, memory: Floats) -> None:
     """Advance both filters to this sample."""
-    accelerating = (now.motor_speed - memory[MOTOR_SPEED]) / (design.plant.inverse_motor_inertia * CONTROL_PERIOD)
+    accelerating = (now.motor_speed - memory[MOTOR_SPEED]) / (design.servo.plant.inverse_motor_inertia * CONTROL_PERIOD)
     latest = now.last_command - memory[KNOWN] - accelerating
     if memory[HELD] > 0.0 and now.motor_speed == 0.0:
         memory[FAST_LOAD] = memory[LOAD]
@@ -92,37 +82,28 @@ def _observe(design: DisturbanceDesign, now: Sample, memory: Floats) -> None:
 @compiled
 def disturbance_law(design: DisturbanceDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; nothing is known of the load where an episode begins."""
-    plant = design.plant
+    plant, gains = design.servo.plant, design.servo.gains
     if begins:
         memory[LOAD], memory[FAST_LOAD] = 0.0, 0.0
     else:
         _observe(design, now, memory)
-    wanted, led = task_motion(now, 0.0), task_motion(now, design.lead)
+    wanted, led = task_motion(now, 0.0), task_motion(now, design.servo.lead)
     error, speed_error = motor_errors(now, wanted, plant.gear)
-    servo = (design.angle * error + design.speed * speed_error) / plant.inverse_motor_inertia
-    push = servo - (design.reaction_gain - 1) * (memory[FAST_LOAD] - memory[LOAD])
-    friction, direction = compensated(led, push, plant.gear, design.compensation)
+    servo = (gains.angle * error + gains.speed * speed_error) / plant.inverse_motor_inertia
+    push = servo - (gains.reaction_gain - 1) * (memory[FAST_LOAD] - memory[LOAD])
+    friction, direction = compensated(led, push, plant.gear, design.servo.compensation)
     known = friction + plant.viscous_friction * now.motor_speed + link_torque(led, plant)
     memory[MOTOR_SPEED], memory[KNOWN], memory[HELD] = now.motor_speed, known, 1.0 if abs(direction) < 1 else 0.0
     return plant.gear * led.acceleration / plant.inverse_motor_inertia + push + known + memory[LOAD]
 
 
-class DisturbanceController(ScalarController):
-    """PD with disturbance observer and torsion-torque feedback.
+class DisturbanceController(Servo):
+    """PD with disturbance observer and torsion-torque feedback."""
 
-    Args:
-        gains: Of servo and observer.
-        params: The design model.
-    """
-
+    gains_type = DisturbanceGains
     arm_law = staticmethod(disturbance_law)
     memory_size = 5
 
-    def __init__(self, gains: DisturbanceGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains = g = gains or DisturbanceGains()
-        p = self.params
-        share, fast_share = (float(1 - np.exp(-rate * CONTROL_PERIOD)) for rate in (g.observer, g.reaction))
-        self._design = DisturbanceDesign(
-            p.plant(), g.compensation(p), dead_time(p), g.angle, g.speed, share, fast_share, g.reaction_gain
-        )
+    def _known(self) -> DisturbanceDesign:
+        share, fast_share = (float(1 - np.exp(-g * CONTROL_PERIOD)) for g in (self.gains.observer, self.gains.reaction))
+        return DisturbanceDesign(super()._known(), share, fast_share)

@@ -9,22 +9,21 @@ reference, as under a rigid arm's torque, but to be ahead of it by the torsion t
 rest where the link is, as far as the arm is the design model. That a PD on the motors of robots with elastic joints
 needs no state of the links is Tomei's (1991); fed forward with their flat motion and torque it is De Luca's (2000).
 
-The servo is `baselines.servo.pid`: stiff where the motor's own encoder sees, blind to the belt. No observer, nothing to
-be misled by an arm that is not the design model; but what rings then, rings on. The torque is the one in the middle of
-the sample over which it is held, a dead time T later.
+The servo is `baselines.servo.pid`, blind to the belt: what rings, rings on. The torque is the one in the middle of the
+sample over which it is held, a dead time T later.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from baselines.gains import tunable
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.ramps import move_of
 from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, PLAN, PidDesign, PidGains, PidServo, pid_torque
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from baselines.servo.pid import INTEGRAL, PLAN, PidGains, PidServo, pid_torque
+from baselines.servo.servo import ServoDesign
+from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
@@ -53,39 +52,22 @@ def held_torque(corners: Floats, time: float, plant: Plant) -> float:
     return flat_point(corners, time + 0.5 * CONTROL_PERIOD, plant).torque
 
 
-class FlatDesign(NamedTuple):
-    """What the law knows: its servo, and the smoothness of the move."""
-
-    pid: PidDesign
-    first_spread: float
-    spread: float
-
-
 @compiled
-def flat_law(design: FlatDesign, now: Sample, begins: bool, memory: Floats) -> float:
+def flat_law(design: ServoDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the smoothed move."""
-    corners, plant = memory[_MOVE], design.pid.plant
+    corners, plant = memory[_MOVE], design.plant
     if begins:
         memory[INTEGRAL] = 0.0
-        write_corners(move_of(now), plant, design.first_spread, design.spread, corners)
+        write_corners(move_of(now), plant, design.gains.first_spread, design.gains.spread, corners)
     time = CONTROL_PERIOD * now.step
-    later = time + design.pid.lead
+    later = time + design.lead
     wanted, led = joint_motion(corners, time, plant), joint_motion(corners, later, plant)
-    return pid_torque(design.pid, now, wanted, led, held_torque(corners, later, plant), memory)
+    return pid_torque(design, now, wanted, led, held_torque(corners, later, plant), memory)
 
 
 class FlatController(PidServo):
-    """PID about a flat motion.
+    """PID about a flat motion."""
 
-    Args:
-        gains: Of smoothing and servo.
-        params: The design model.
-    """
-
+    gains_type = FlatGains
     arm_law = staticmethod(flat_law)
     memory_size = PLAN + CORNERS
-
-    def __init__(self, gains: FlatGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or FlatGains()
-        super().__init__(self.gains, params)
-        self._design = FlatDesign(self._pid, self.gains.first_spread, self.gains.spread)

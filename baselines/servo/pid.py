@@ -9,25 +9,20 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: those who plan the motion see to it that it is not excited. `pid_torque` follows any motion of
-the joint with its torque, `rigid_pid_torque` one with the torque of a rigid arm, and `ramp_torque` is that for a speed
-that is a sum of ramps.
+The PID ignores the belt: those who plan the motion see to it that it is not excited.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from baselines.controller import ScalarController
 from baselines.gains import tunable
-from baselines.models.actuator import dead_time
-from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.friction import FrictionGains, compensated
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
 from baselines.reading import Sample
-from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant
+from baselines.servo.servo import Servo, ServoDesign
+from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined
 from beltarm_env.task.reference import Reference
@@ -49,20 +44,9 @@ class PidGains(FrictionGains):
     integral: float = tunable(2.0, 0.01, 100.0, log=True)  # K_i  [1/s]
 
 
-class PidDesign(NamedTuple):
-    """What the servo knows: the design model and the gains."""
-
-    plant: Plant
-    compensation: Compensation
-    lead: float  # T [s]
-    angle: float  # K_p
-    speed: float  # K_v
-    integral: float  # K_i
-
-
 @inlined
 def pid_torque(
-    design: PidDesign, now: Sample, wanted: Reference, led: Reference, torque: float, memory: Floats
+    design: ServoDesign, now: Sample, wanted: Reference, led: Reference, torque: float, memory: Floats
 ) -> float:
     """Motor torque [N m] of the servo.
 
@@ -74,9 +58,9 @@ def pid_torque(
         torque: What it takes then, but for dry friction [N m].
         memory: Whose entry `INTEGRAL` is advanced.
     """
-    plant, integral = design.plant, memory[INTEGRAL]
+    plant, gains, integral = design.plant, design.gains, memory[INTEGRAL]
     error, speed_error = motor_errors(now, wanted, plant.gear)
-    pid = design.angle * (error + design.integral * integral) + design.speed * speed_error
+    pid = gains.angle * (error + gains.integral * integral) + gains.speed * speed_error
     push = inertia_at(wanted.angle, plant) * pid
     friction, _ = compensated(led, push, plant.gear, design.compensation)
     total = torque + friction + push
@@ -86,7 +70,7 @@ def pid_torque(
 
 
 @inlined
-def rigid_pid_torque(design: PidDesign, now: Sample, wanted: Reference, led: Reference, memory: Floats) -> float:
+def rigid_pid_torque(design: ServoDesign, now: Sample, wanted: Reference, led: Reference, memory: Floats) -> float:
     """Motor torque [N m] of the servo with the feed-forward of a rigid arm; arguments as of `pid_torque`."""
     plant = design.plant
     torque = rigid_torque(led, plant) + plant.viscous_friction * plant.gear * led.speed
@@ -94,7 +78,7 @@ def rigid_pid_torque(design: PidDesign, now: Sample, wanted: Reference, led: Ref
 
 
 @inlined
-def ramp_torque(design: PidDesign, now: Sample, ramps: Ramps, count: int, smooth: bool, memory: Floats) -> float:
+def ramp_torque(design: ServoDesign, now: Sample, ramps: Ramps, count: int, smooth: bool, memory: Floats) -> float:
     """Motor torque [N m] of the servo on a rigid arm along the first `count` of some ramps, `smooth` or linear."""
     time = CONTROL_PERIOD * now.step
     wanted = motion_at(ramps, count, smooth, now.start, time)
@@ -102,15 +86,5 @@ def ramp_torque(design: PidDesign, now: Sample, ramps: Ramps, count: int, smooth
     return rigid_pid_torque(design, now, wanted, led, memory)
 
 
-class PidServo(ScalarController):
-    """Base of controllers with this servo, which plan its motion.
-
-    Args:
-        gains: Of the servo.
-        params: The design model.
-    """
-
-    def __init__(self, gains: PidGains, params: ArmParams | None) -> None:
-        super().__init__(params)
-        p, g = self.params, gains
-        self._pid = PidDesign(p.plant(), g.compensation(p), dead_time(p), g.angle, g.speed, g.integral)
+class PidServo(Servo):
+    """Base of servos with this PID, which plan its motion."""

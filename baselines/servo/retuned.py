@@ -16,25 +16,20 @@ Different from `PaperController`:
 - What is fed forward is that of a dead time later (`baselines.models.actuator`), when the command acts.
 - All gains are tuned.
 
-What they trade: K_4 damps by accelerating the motor against theta_s', which it can as long as the PD is slower than the
-mode. A PD that is stiff enough to hold the motor on its reference despite friction holds it against K_4 as well.
+K_4 damps as long as the PD is slower than the mode: one that holds the motor despite friction holds it against K_4 too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from baselines.controller import ScalarController
 from baselines.gains import tunable
-from baselines.models.actuator import dead_time
-from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.friction import FrictionGains, compensated
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
 from baselines.reading import Sample
 from baselines.servo.paper import PaperController, simulated_rate
-from beltarm_env import ArmParams
-from beltarm_env.arm import Plant
+from baselines.servo.servo import Servo, ServoDesign
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 
@@ -48,44 +43,22 @@ class RetunedGains(FrictionGains):
     speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
 
 
-class RetunedDesign(NamedTuple):
-    """What the law knows: the design model and the gains."""
-
-    plant: Plant
-    compensation: Compensation
-    lead: float  # T [s]
-    torsion_speed: float  # K_4
-    angle: float  # K_p
-    speed: float  # K_v
-
-
 @compiled
-def retuned_law(design: RetunedDesign, now: Sample, begins: bool, memory: Floats) -> float:
+def retuned_law(design: ServoDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, with the memory of `baselines.servo.paper`; see `LawKernel`."""
-    plant, speed = design.plant, now.motor_speed
+    plant, gains, speed = design.plant, design.gains, now.motor_speed
     rate = simulated_rate(speed / plant.gear, now.motor_angle / plant.gear, begins, plant, memory)
     wanted, led = task_motion(now, 0.0), task_motion(now, design.lead)
     error, speed_error = motor_errors(now, wanted, plant.gear)
-    servo = inertia_at(wanted.angle, plant) * (design.speed * speed_error + design.angle * error)
-    push = servo - design.torsion_speed * rate
+    servo = inertia_at(wanted.angle, plant) * (gains.speed * speed_error + gains.angle * error)
+    push = servo - gains.torsion_speed * rate
     friction, _ = compensated(led, push, plant.gear, design.compensation)
     return rigid_torque(led, plant) + plant.viscous_friction * speed + friction + push
 
 
-class RetunedController(ScalarController):
-    """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own.
+class RetunedController(Servo):
+    """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own."""
 
-    Args:
-        gains: Feedback gains.
-        params: The design model.
-    """
-
+    gains_type = RetunedGains
     arm_law = staticmethod(retuned_law)
     memory_size = PaperController.memory_size
-
-    def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains = g = gains or RetunedGains()
-        p = self.params
-        of_gains = g.torsion_speed, g.angle, g.speed
-        self._design = RetunedDesign(p.plant(), g.compensation(p), dead_time(p), *of_gains)

@@ -12,10 +12,9 @@ cancel. Half a damped period T / 2 apart, with K = exp(-pi zeta / sqrt(1 - zeta^
 (ZV, ZVD: Singer and Seering 1990; EI, extra-insensitive, with the vibration limit V: Singhose, Seering and Singer 1994,
 exact for zeta = 0; with damping the vibration at the modelled mode is at most V.)
 
-**Which mode.** The arm's frequency falls from 57 to 22 rad/s between 0 and 90 degrees. Accelerating excites the arm
-where it is then, so the ramp up of the task's trapezoid is shaped for the mode at the start, and the ramp down for the
-mode at the goal, where what is left goes on ringing. The motor is held by its servo, so the mode is that of a fixed
-motor, see `baselines.models.modes`.
+**Which mode.** Accelerating excites the arm where it is then, so the ramp up of the task's trapezoid is shaped for the
+mode at the start, and the ramp down for the mode at the goal. The motor is held by its servo, so the mode is that of a
+fixed motor, see `baselines.models.modes`.
 
 **What delays.** A shaper delays by d = sum of A_i t_i, 0.03 to 0.15 s, which counts in full against the task. But the
 whole move is known ahead. So
@@ -29,7 +28,7 @@ whole move is known ahead. So
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,13 +36,11 @@ from baselines.gains import tunable
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, move_of
 from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
-from beltarm_env import ArmParams
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
+from baselines.servo.servo import ServoDesign
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
-
-Kind = Literal["zv", "zvd", "ei"]
 
 
 @dataclass(frozen=True)
@@ -61,23 +58,11 @@ class ExtraInsensitiveGains(ShapingGains):
     vibration: float = tunable(0.05, 0.0, 0.5)  # V  [-]  limit of the vibration, of the unshaped one
 
 
-GAINS: dict[Kind, type[ShapingGains]] = {"zv": ShapingGains, "zvd": ShapingGains, "ei": ExtraInsensitiveGains}
-"""Gains of each kind of shaper, by name."""
-
-
-def shares_of(kind: Kind, vibration: float = 0.0) -> Floats:
-    """Return w_i, shape (impulses,), of a "zv", a "zvd" or an "ei" shaper, the last with the limit V."""
-    shares = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0), "ei": (1 + vibration, 2 * (1 - vibration), 1 + vibration)}
-    return np.array(shares[kind])
-
-
 class ShapingDesign(NamedTuple):
-    """What the law knows: its servo and its shaper."""
+    """What the law knows."""
 
-    pid: PidDesign
+    servo: ServoDesign
     shares: Floats  # w_i, shape (impulses,)
-    shortest_ramp: float
-    frequency: float
 
 
 @inlined
@@ -104,9 +89,9 @@ def write_impulses(shares: Floats, mode: Mode, first: int, ramps: Ramps) -> floa
 @inlined
 def _shape(design: ShapingDesign, angle: float, ramp: float, first: int, ramps: Ramps) -> float:
     """Write a ramp's impulses and times; return the centre of the shaped ramp, from its onset [s]."""
-    mode = held_mode(angle, design.pid.plant)
-    delay = write_impulses(design.shares, Mode(mode.period / design.frequency, mode.decay), first, ramps)
-    time = min(ramp, max(ramp - 2 * delay, design.shortest_ramp))
+    mode = held_mode(angle, design.servo.plant)
+    delay = write_impulses(design.shares, Mode(mode.period / design.servo.gains.frequency, mode.decay), first, ramps)
+    time = min(ramp, max(ramp - 2 * delay, design.servo.gains.shortest_ramp))
     for k in range(first, first + len(design.shares)):
         ramps.time[k] = time
     return delay + 0.5 * time
@@ -135,33 +120,38 @@ def shaping_law(design: ShapingDesign, now: Sample, begins: bool, memory: Floats
     if begins:
         memory[INTEGRAL] = 0.0
         plan_shaped(design, move_of(now), ramps)
-    return ramp_torque(design.pid, now, ramps, 2 * len(design.shares), False, memory)
+    return ramp_torque(design.servo, now, ramps, 2 * len(design.shares), False, memory)
 
 
-class ShapingController(PidServo):
-    """PID along a shaped trapezoid.
+class ZvController(PidServo):
+    """PID along a trapezoid shaped by ZV."""
 
-    Args:
-        gains: Of servo and shaper, of the type that `GAINS` has for the kind.
-        params: The design model.
-        kind: "zv", "zvd" or "ei".
-
-    Raises:
-        ValueError: If there is no such kind of shaper.
-        TypeError: If the gains are those of another kind.
-    """
-
+    gains_type = ShapingGains
     arm_law = staticmethod(shaping_law)
     memory_size = RAMPS_END
 
-    def __init__(self, gains: ShapingGains | None = None, params: ArmParams | None = None, kind: Kind = "ei") -> None:
-        if kind not in GAINS:
-            raise ValueError(f"kind must be one of {', '.join(map(repr, GAINS))}, got {kind!r}")
-        if gains is not None and type(gains) is not GAINS[kind]:
-            raise TypeError(f"kind={kind!r} takes {GAINS[kind].__name__}, got {type(gains).__name__}")
-        self.gains = gains or GAINS[kind]()
-        self.kind: Kind = kind
-        super().__init__(self.gains, params)
-        vibration = self.gains.vibration if isinstance(self.gains, ExtraInsensitiveGains) else 0.0
-        shares = shares_of(kind, vibration)
-        self._design = ShapingDesign(self._pid, shares, self.gains.shortest_ramp, self.gains.frequency)
+    def shares(self) -> tuple[float, ...]:
+        """The shaper's w_i."""
+        return 1.0, 1.0
+
+    def _known(self) -> ShapingDesign:
+        return ShapingDesign(super()._known(), np.array(self.shares()))
+
+
+class ZvdController(ZvController):
+    """PID along a trapezoid shaped by ZVD."""
+
+    def shares(self) -> tuple[float, ...]:
+        """The shaper's w_i."""
+        return 1.0, 2.0, 1.0
+
+
+class EiController(ZvController):
+    """PID along a trapezoid shaped by EI."""
+
+    gains_type = ExtraInsensitiveGains
+
+    def shares(self) -> tuple[float, ...]:
+        """The shaper's w_i."""
+        limit = self.gains.vibration
+        return 1 + limit, 2 * (1 - limit), 1 + limit

@@ -6,26 +6,21 @@ The reference is an S-curve: ramps of the speed with the shape 3u^2 - 2u^3, whos
     3 |sin x - x cos x| / x^3,    x = w t / 2,
 
 which is zero first at tan x = x, x = 4.493: a ramp of 1.43 periods leaves the mode at rest, one of a longer time leaves
-8.6 % at most. (The quintic of minimum jerk takes the whole move, whatever the mode.) So each ramp gets at least that
-many periods of the mode with the motor held, as it is at the start for the ramp up and at the goal for the ramp down:
-each excites the arm where it is then, and what rings after the move rings at the goal. Ramps are not shorter than the
-task's, and both together not longer than the move.
-
-Smoothness is paid for with time. Against the task's trapezoid the S-curve lags at first and leads at last, and that
-counts as tip error: the method buys a quiet end with a move that is not the one asked for.
+8.6 % at most. So each ramp gets at least that many periods of the mode with the motor held, as it is at the start for
+the ramp up and at the goal for the ramp down. Ramps are not shorter than the task's, and both together not longer than
+the move. Against the task's trapezoid the S-curve lags at first and leads at last, which counts as tip error.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps, move_of
 from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
-from beltarm_env import ArmParams
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
+from baselines.servo.servo import ServoDesign
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
@@ -38,19 +33,12 @@ class SmoothGains(PidGains):
     ramp: float = tunable(1.43, 0.1, 5.0)  # [periods of the mode]  least time of a ramp
 
 
-class SmoothDesign(NamedTuple):
-    """What the law knows: its servo, and the smoothness of the profile."""
-
-    pid: PidDesign
-    ramp: float
-
-
 @compiled
-def plan_smooth(design: SmoothDesign, move: MoveShape, ramps: Ramps) -> None:
+def plan_smooth(design: ServoDesign, move: MoveShape, ramps: Ramps) -> None:
     """Write the first two ramps: one up and one down."""
-    plant = design.pid.plant
-    up = max(move.ramp_time, design.ramp * held_mode(move.start, plant).period)
-    down = max(move.ramp_time, design.ramp * held_mode(move.goal, plant).period)
+    plant, ramp = design.plant, design.gains.ramp
+    up = max(move.ramp_time, ramp * held_mode(move.start, plant).period)
+    down = max(move.ramp_time, ramp * held_mode(move.goal, plant).period)
     share = min(1.0, move.duration / (up + down))
     up, down = share * up, share * down
     cruise = (move.goal - move.start) / (move.duration - 0.5 * (up + down))
@@ -59,27 +47,18 @@ def plan_smooth(design: SmoothDesign, move: MoveShape, ramps: Ramps) -> None:
 
 
 @compiled
-def smooth_law(design: SmoothDesign, now: Sample, begins: bool, memory: Floats) -> float:
+def smooth_law(design: ServoDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
     ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
     if begins:
         memory[INTEGRAL] = 0.0
         plan_smooth(design, move_of(now), ramps)
-    return ramp_torque(design.pid, now, ramps, 2, True, memory)
+    return ramp_torque(design, now, ramps, 2, True, memory)
 
 
 class SmoothController(PidServo):
-    """PID along an S-curve.
+    """PID along an S-curve."""
 
-    Args:
-        gains: Of servo and profile.
-        params: The design model.
-    """
-
+    gains_type = SmoothGains
     arm_law = staticmethod(smooth_law)
     memory_size = RAMPS_END
-
-    def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:
-        self.gains = gains or SmoothGains()
-        super().__init__(self.gains, params)
-        self._design = SmoothDesign(self._pid, self.gains.ramp)

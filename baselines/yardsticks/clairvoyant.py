@@ -3,9 +3,8 @@
     min  sum_k  |e_p| / 10 mm + |e_v| / 200 mm/s + 0.1 |u_k - u_(k-1)| / limit        (beltarm_env/task/cost.py)
     s.t. |u_k| <= limit
 
-over the commands u_k of a whole move, from rest at its start. The arm is the environment's own simulation: current
-loop, latency, ripple, stick and slip as they are, so that torques cost here what they cost when they are replayed.
-Nothing is smoothed and nothing modelled a second time.
+over the commands u_k of a whole move, from rest at its start. The arm is the environment's own simulation, so that
+torques cost here what they cost when they are replayed.
 
 From torques that move the arm, `privileged`'s say, each iteration
 

@@ -10,8 +10,7 @@ Norrlof 2001; see `baselines.planning.norm_optimal`) for the nominal linear loop
 about the reference, Coulomb friction left out, with what the drive measures as the error: e = l_tip (theta_a / G -
 theta_ref), as far as the tip of a rigid arm of the whole length l_tip would be away, and its rate by differencing.
 
-Learning that sees the motor alone makes the motor follow, and leaves the belt out. It makes the same move on the same
-arm again, which no ranked controller may do: a yardstick.
+It makes the same move on the same arm again, which no ranked controller may do: a yardstick.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Scenarios of the clairvoyant optimum: planned with the true arm and its drive, replayed in the environment, stored.
 
-The clairvoyant optimum (`baselines.yardsticks.clairvoyant`) knows the arm, its drive, its state and the move, which no
-controller does. The difference to a controller's cost is the most that better control, estimation or learning could
-gain, as far as a search can tell that finds local minima. The cost that is stored is that of its torques replayed in
-the environment, as float32 actions like those of any controller.
-
-`oracle.json` holds arm, move, metrics and actions of each scenario; `baselines/oracle.py` writes it.
+The difference to a controller's cost is the most that better control, estimation or learning could gain, as far as a
+search can tell that finds local minima. The cost that is stored is that of the torques replayed in the environment, as
+float32 actions. `oracle.json` holds arm, move, metrics and actions of each scenario; `baselines/oracle.py` writes it.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -32,12 +29,8 @@ from beltarm_env.task.reference import MoveShape
 
 FILE = Path(__file__).parent.with_name("oracle.json")
 METRICS = ("cost", "tip_rms_mm", "residual_pp_mm", "saturated_share")
-RANDOMIZATION: dict[str, Literal["off", "ideal", "train"]] = {
-    "nominal": "off",
-    "ideal": "ideal",
-    "train": "train",
-}
-"""How the environment draws the arm of a scenario, by its kind."""
+KINDS = ("nominal", "ideal", "train")
+"""Of scenarios; the arm of the last two is drawn from the training ranges."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +50,10 @@ class Scenario:
             ValueError: If it is not of that form.
         """
         kind, _, seed = text.partition(":")
-        if kind not in RANDOMIZATION or not seed.isdecimal():
+        if kind not in KINDS or not seed.isdecimal():
             raise ValueError(f"--scenario must be nominal:SEED, ideal:SEED or train:SEED, got {text!r}")
-        idle = Replay(np.zeros((1, EPISODE_STEPS), np.float32))
-        run = rollout(idle, 1, seed=int(seed), randomization=RANDOMIZATION[kind])
+        drawn: Any = "off" if kind == "nominal" else kind
+        run = rollout(Replay(np.zeros((1, EPISODE_STEPS), np.float32)), 1, seed=int(seed), randomization=drawn)
         return cls(kind, int(seed), ArmParams.from_row(run.params[0]), MoveShape(*map(float, run.moves[0])))
 
 

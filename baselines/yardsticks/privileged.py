@@ -86,7 +86,9 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         friction, ripple = sliding_torques(self._table, ahead)
         gives = self._table[:, COLUMN.presliding_deflection] > 0
         slides = np.where(gives, np.abs(arms[:, -1]) >= SLIPS, arms[:, 1] != 0)
-        torque += self.gains.compensated(friction, np.where(slides, np.sign(arms[:, 1]), 0.0), torque) - ripple
+        pushed = np.clip(torque / self.gains.rest_width, -1, 1)  # the direction where the motor sticks
+        direction = np.where(slides & (arms[:, 1] != 0), np.sign(arms[:, 1]), pushed)
+        torque += self.gains.friction_share * friction * direction - ripple
         return torque, PrivilegedMemory(cache, arms, number)
 
     @staticmethod

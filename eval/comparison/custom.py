@@ -4,6 +4,7 @@ import hashlib
 import importlib
 import importlib.util
 import os
+import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -79,13 +80,15 @@ def home(spec: str) -> Path:
     Nothing of it is imported.
 
     Raises:
-        ValueError: If there is no such file or package.
+        ValueError: If there is no such file or package, or the class is nowhere in the file's text.
     """
-    where, _, _ = absolute(spec).rpartition(":")
+    where, _, name = absolute(spec).rpartition(":")
     if not where.endswith(".py"):
         return _home_of_module(spec, *where.split("."))
     if not Path(where).is_file():
         raise ValueError(f"{spec} cannot be imported: there is no file {where}")
+    if not re.search(rf"\b{name}\b|import \*|globals\(|__getattr__", Path(where).read_text(errors="replace")):
+        raise ValueError(f"{where} has no class or function {name!r}")
     folder = Path(where).resolve().parent
     while (folder.parent / "__init__.py").exists():
         folder = folder.parent

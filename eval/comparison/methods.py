@@ -15,7 +15,7 @@ from agents.residual.controller import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.gains import read_file
 from baselines.guard.controller import guarded, servo_for
-from baselines.tools.command import nearest
+from baselines.tools.command import require_known
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
 from beltarm_env.observation import Sensors
@@ -153,7 +153,7 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
     """A user's own controller, named by its class; nothing of it is executed here. See `eval.comparison.custom`.
 
     Raises:
-        ValueError: If there is no such file or package.
+        ValueError: If there is no such file or package, or no such class.
     """
     spec = custom.absolute(spec)
     own = custom.identity(custom.home(spec), results)
@@ -255,9 +255,5 @@ def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
         ValueError: On an unknown name, suggesting one that is near.
     """
     known = list(known)
-    for name in wanted:
-        if name not in known:
-            near = nearest(name, known)
-            hint = f"did you mean {near}? " if near else ""
-            raise ValueError(f"unknown {kind} {name!r}; {hint}known: {', '.join(known)}")
+    require_known(wanted, known, f"unknown {kind} {{}}")
     return [name for name in known if name in wanted] if wanted else known

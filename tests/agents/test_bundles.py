@@ -25,7 +25,7 @@ from agents.residual.bases import make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.tensor_file import MAX_BYTES, packed
 from baselines import CONTROLLERS, PaperController
-from baselines.optimal.accelerometer import AccelerometerAdaptiveController
+from baselines.optimal.adaptive import AccelerometerAdaptiveController
 from beltarm_env.rollout import rollout
 
 NAN = math.nan

@@ -46,6 +46,7 @@ def test_public_names_are_imported_on_first_use():
     )
     assert python("-c", code, cwd=ROOT) == "[]\nadaptive []\n"
     refused(AttributeError, ("'baselines'", "'Paper'"), lambda: baselines.Paper)
+    refused(ValueError, ("'paper'",), lambda: baselines.tuned_controller("paper"))
 
 
 @pytest.mark.parametrize("name", CASES)

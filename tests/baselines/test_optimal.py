@@ -18,8 +18,8 @@ from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
-from baselines.optimal.horizon import _set_up, horizon
 from baselines.optimal.lqg import feedback_gains
+from baselines.optimal.mpc import _set_up, horizon
 from baselines.optimal.robust import RobustController
 from baselines.planning.plan import GAIN, TORQUE, Weights, planned
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
@@ -182,7 +182,7 @@ class TestRobust:
     def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
         controller = RobustController()
         loops = robust.loops_at(DESIGN, k, controller.gains.weights(), controller.gains.noise(), 0.1)
-        for arm, matrix in zip(robust.arms_around(DESIGN), robust.closed(controller.feedback[k], loops), strict=True):
+        for arm, matrix in zip(robust.arms_around(DESIGN), robust.closed(controller.feedback()[k], loops), strict=True):
             expected, actual = closed_poles(loop_at(controller, k, arm)), np.linalg.eigvals(matrix)
             assert all(np.abs(actual - pole).min() < 1e-6 for pole in expected[np.abs(expected) > 0.05])
 

@@ -6,7 +6,6 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from refusals import refused
 
-from baselines.gains import tuned
-from baselines.registry import TUNABLE
+from baselines import gains
 from baselines.tools import files, progress, provenance
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, list_of, mapping_of, object_of, parse
 from eval.comparison import sets
@@ -75,7 +73,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path):
     """A pipe would be waited for, and a device has no end."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "device").symlink_to("/dev/zero")
-    for read in (read_results, sets.load, partial(tuned, "zv", TUNABLE["zv"].gains), files.read_sealed):
+    for read in (read_results, sets.load, gains.read_file, files.read_sealed):
         for path in (tmp_path / "pipe", tmp_path / "device"):
             with pytest.raises((OSError, ValueError), match="is no regular file"):
                 read(path)

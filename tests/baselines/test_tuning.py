@@ -18,7 +18,7 @@ from optuna.trial import TrialState
 from refusals import refused
 from waiting import until
 
-from baselines import TUNABLE, PaperController, PaperGains
+from baselines import TUNABLE, PaperController, PaperGains, gains
 from baselines.engines.parallel import Channel
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.loops.condition import MarginCondition
@@ -208,8 +208,9 @@ def test_laws_of_the_race():
     assert not any(race.hopeless(*costs) for costs in fair)
 
 
-def test_gains_are_written_beside_the_others_and_refused_where_they_do_not_fit(tmp_path: Path):
+def test_gains_are_written_beside_others_and_refused_where_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "gains.json"
+    monkeypatch.setattr(gains, "FILE", path)
     write_entry("b", OneGain(0.5), {"seed": 1}, path)
     write_entry("a", OneGain(0.25), {}, path)
     write_entry("b", OneGain(0.75), {"seed": 2}, path)
@@ -227,7 +228,7 @@ def test_gains_are_written_beside_the_others_and_refused_where_they_do_not_fit(t
         *((text, ("gains.json", "damaged")) for text in (b'{"vibrating": {}}', b"[]", b'{"vibrating": ', b"\xff")),
     ):
         path.write_bytes(text)
-        refused(ValueError, words, lambda: tuned("vibrating", OneGain, path))
+        refused(ValueError, words, lambda: tuned("vibrating", OneGain))
 
 
 @pytest.fixture

@@ -105,6 +105,11 @@ def test_each_check_notices_what_it_is_for(kind: type, check: str, message: str)
     assert check in first.check and re.search(message, first.detail), first.detail
 
 
+def test_a_late_controller_is_called_late(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(check, "action_times", lambda *_, **__: (900.0, 1501.0))
+    assert [finding.late for finding in findings(Proportional)] == [False] * 5 + [True]
+
+
 def test_a_sound_controller_passes_and_may_leave_the_workspace():
     assert [finding.detail for finding in findings(Proportional)][1:5] == ["bit for bit"] * 4
     assert record(Runaway()).starts[1:].any() and not failed(Runaway)

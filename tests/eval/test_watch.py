@@ -56,10 +56,10 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("--controller", "papr"), "did you mean paper?"),
+        (("--controller", "papr"), "did you mean 'paper'?"),
         (("--controller", "none.py:Mine"), "none.py"),
         (("--policy", "nowhere"), "nowhere"),
-        (("--split", "frictoin"), "did you mean friction?"),
+        (("--split", "frictoin"), "did you mean 'friction'?"),
         (("--scenario", "500"), "--scenario"),
         (("--speed", "0"), "--speed"),
         (("--out", "motion.avi"), "--out"),
