@@ -96,23 +96,16 @@ class PpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "ppo"
 
     out: Path = Path("runs/ppo")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 6_000_000
-    """Agent steps of the whole run, each of --hold samples. The learning rate falls to zero over the run."""
     learning_rate: float = 3.5e-4
-    """Learning rate at the start."""
     gamma: float = 0.988
     """Discount per agent step. 0.988 looks about 0.5 s ahead."""
     reward_scale: float = 0.036
-    """Factor on the mean reward of a hold. It brings values to order 1."""
     hidden: tuple[int, ...] = (256, 256)
-    """Widths of the hidden layers of policy and critic."""
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
     gae_lambda: float = 0.962
-    """Lambda of the advantage estimate. A lower value has less variance and more bias."""
     initial_log_std: float = -0.66
-    """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
     teacher_rounds: int = 0
     """Rounds in which the actor is first fitted to a teacher's advice, as that of `train/student.py`; with 0 it begins
     as its base. With some, options that are not given are those for a good base: little noise, small steps."""
@@ -177,7 +170,6 @@ class RecurrentPpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "recurrent_ppo"
 
     out: Path = Path("runs/recurrent_ppo")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     knowledge: Knowledge = "none"
     """What the agent sees besides the observation: nothing ("none"), because the LSTM is to identify the arm, or what
     the identification believes of the arm ("belief")."""
@@ -188,11 +180,8 @@ class RecurrentPpoConfig(OnPolicyConfig):
     rollout_steps: int = 50
     """Agent steps per arm between two updates. Gradients go back through all of them; 50 are half an episode."""
     batch_size: int = 5120
-    """Agent steps in each gradient step."""
     epochs: int = 4
-    """Passes over each rollout."""
     entropy: float = 0.001
-    """Weight of the entropy bonus, which keeps exploration from dying early."""
 
     @property
     def layers(self) -> dict[str, Any]:

@@ -37,21 +37,14 @@ class SacConfig(ReinforcementConfig):
     log_interval: ClassVar[int] = 1000
 
     out: Path = Path("runs/sac")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 2_000_000
-    """Agent steps of the whole run, each of --hold samples."""
     residual_limit: float = 0.5
-    """Largest residual, as a share of the torque limit."""
     gamma: float = 0.9
     """Discount per agent step. 0.9 looks about 180 ms ahead."""
     reward_scale: float = 0.1
-    """Factor on the mean reward of a hold. It brings values to order 1."""
     validation_every: int = 250_000
-    """Agent steps between validations. Each validation saves a checkpoint."""
     learning_rate: float = 3e-4
-    """Learning rate of the optimisers."""
     hidden: tuple[int, ...] = (128, 128)
-    """Widths of the hidden layers of all networks."""
     buffer_size: int = 400_000
     """Agent steps that the replay buffer holds."""
     batch_size: int = 1024

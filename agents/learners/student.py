@@ -63,9 +63,7 @@ class StudentConfig(RunConfig):
     algorithm: ClassVar[str] = "student"
 
     out: Path = Path("runs/student")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     base: str = "adaptive"
-    """Controller that the agent corrects: any classical one, or "none" to learn torques from scratch."""
     learning_rate: float = 3e-3
     """Learning rate at the start. It falls to zero over the rounds."""
     hidden: tuple[int, ...] = (96,)
@@ -73,7 +71,6 @@ class StudentConfig(RunConfig):
     gru_width: int = 96
     """Width of the GRU. With 0 the student has no memory."""
     residual_limit: float = 0.5
-    """Largest residual, as a share of the torque limit."""
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
     moves: int = 4
@@ -91,7 +88,6 @@ class StudentConfig(RunConfig):
     torque_price: float = 5.0
     """Price of a torque change in the teacher's objective, as a multiple of the task's price."""
     validation_arms: int = 32
-    """Arms in each validation."""
     batch_size: int = 16
     """Episodes in each gradient step."""
     huber: float = 0.2
