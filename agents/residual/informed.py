@@ -12,14 +12,13 @@ from agents.residual.knowledge import (
     KNOWLEDGE,
     RECENT,
     ExtraEntries,
-    Filters,
     Knowledge,
-    filters_of,
     push_unexplained,
     write_belief,
     write_torque,
 )
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
+from baselines.estimation.identify import Notes
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read, sample_of
 from beltarm_env import ArmParams, design_model
@@ -109,8 +108,8 @@ class InformedBase:
         count, size = observation.shape
         result = np.empty((count, size + len(ENTRIES[self.knowledge])), np.float32)
         result[:, :size] = observation
-        filters = None if memory.belief is None else filters_of(memory.belief)
-        _write_extra(self.entries, memory.action, memory.reading, filters, memory.unexplained, result[:, size:])
+        notes = None if memory.belief is None else memory.belief.notes
+        _write_extra(self.entries, memory.action, memory.reading, notes, memory.unexplained, result[:, size:])
         return result
 
 
@@ -119,14 +118,14 @@ def _unexplained(belief: Belief, memory: InformedMemory | None, begins: Flags) -
     unexplained = np.zeros((len(begins), RECENT))
     if memory is not None and memory.unexplained is not None:
         unexplained[:] = memory.unexplained
-    _push_all(filters_of(belief), begins, unexplained)
+    _push_all(belief.notes, begins, unexplained)
     return unexplained
 
 
 @compiled
-def _push_all(filters: Filters, begins: Flags, unexplained: Floats) -> None:
+def _push_all(notes: Notes, begins: Flags, unexplained: Floats) -> None:
     for i in range(len(begins)):
-        push_unexplained(filters, i, begins[i], unexplained[i])
+        push_unexplained(notes, i, begins[i], unexplained[i])
 
 
 @compiled
@@ -134,11 +133,11 @@ def _write_extra(
     entries: ExtraEntries,
     actions: Singles,
     reading: Reading | None,
-    filters: Filters | None,
+    notes: Notes | None,
     unexplained: Floats | None,
     extra: Singles,
 ) -> None:
     for i in range(len(extra)):
         write_torque(entries, actions[i, 0], extra[i])
-        if reading is not None and filters is not None and unexplained is not None:
-            write_belief(entries, sample_of(reading, i), filters, i, unexplained[i], extra[i])
+        if reading is not None and notes is not None and unexplained is not None:
+            write_belief(entries, sample_of(reading, i), notes, i, unexplained[i], extra[i])

@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS
-from baselines.estimation.identification import Belief
+from baselines.estimation.identify import Notes
 from baselines.reading import Sample
 from beltarm_env import observation as layout
 from beltarm_env.arm import Plant
@@ -88,28 +88,12 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
-class Filters(NamedTuple):
-    """Part of a `Belief` about m arms that the agent observes."""
-
-    mean: Floats  # of z, shape (m, SIZE)
-    covariance: Floats  # shape (m, SIZE, SIZE)
-    surprise: Floats  # shape (m,)
-    angle: Floats  # last measured [rad], shape (m,)
-    commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
-
-
 class ExtraEntries(NamedTuple):
     """Constants of `write_torque` and `write_belief`."""
 
     plant: Plant  # whose lengths the tip's errors follow from, and whose limit commands are scaled by
     scales: Floats  # of the entries
     bounds: Floats  # likewise
-
-
-def filters_of(belief: Belief) -> Filters:
-    """Pick what the agent observes."""
-    tracks = belief.tracks
-    return Filters(tracks.mean, tracks.covariance, tracks.surprise, belief.angle, belief.commands)
 
 
 @inlined
@@ -132,20 +116,19 @@ def write_torque(entries: ExtraEntries, action: float, extra: Singles) -> None:
 
 
 @compiled
-def write_belief(
-    entries: ExtraEntries, now: Sample, filters: Filters, i: int, unexplained: Floats, extra: Singles
-) -> None:
+def write_belief(entries: ExtraEntries, now: Sample, notes: Notes, i: int, unexplained: Floats, extra: Singles) -> None:
     """Write the entries of a belief, see `ENTRIES`.
 
     Args:
         entries: Constants.
         now: What is measured.
-        filters: At this sample.
+        notes: What is believed at this sample.
         i: Which of them is this arm's.
         unexplained: From `push_unexplained`, shape (RECENT,).
         extra: Written, shape (entries,).
     """
-    z, plant = filters.mean[i], entries.plant
+    tracks, plant = notes.tracks, entries.plant
+    z = tracks.mean[i]
     x = ArmState(z[0], z[1], z[2], z[3])
     error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
     for k in range(_TIP_AT - _STATE_AT):
@@ -157,18 +140,18 @@ def write_belief(
     for k in range(_DOUBTS_AT - _CONSTANTS_AT):
         _write(extra, _CONSTANTS_AT + k, z[_IDENTIFIED + k], entries)
     for k in range(_SURPRISE_AT - _DOUBTS_AT):
-        variance = filters.covariance[i, _DOUBTED + k, _DOUBTED + k]
+        variance = tracks.covariance[i, _DOUBTED + k, _DOUBTED + k]
         _write(extra, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), entries)
-    _write(extra, _SURPRISE_AT, filters.surprise[i], entries)
+    _write(extra, _SURPRISE_AT, tracks.surprise[i], entries)
     for k in range(RECENT):
         _write(extra, _UNEXPLAINED_AT + k, unexplained[k], entries)
     for k in range(RECENT - 1):
-        _write(extra, _COMMANDS_AT + k, filters.commands[i, 1 + k] / plant.torque_limit, entries)
+        _write(extra, _COMMANDS_AT + k, notes.commands[i, 1 + k] / plant.torque_limit, entries)
 
 
 @inlined
-def push_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats) -> None:
+def push_unexplained(notes: Notes, i: int, begins: bool, unexplained: Floats) -> None:
     """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
     for k in range(RECENT - 1, 0, -1):
         unexplained[k] = 0.0 if begins else unexplained[k - 1]
-    unexplained[0] = filters.angle[i] - filters.mean[i, 0]
+    unexplained[0] = notes.angle[i] - notes.tracks.mean[i, 0]
