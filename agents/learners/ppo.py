@@ -1,8 +1,15 @@
 """PPO, proximal policy optimisation, with and without an LSTM: options, defaults and models.
 
 The defaults of PPO are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see
-docs/science/training.md; the budget is twice a trial's. On a base that leaves little to find, a teacher's advice
-comes first (`--teacher-rounds`, `agents.learners.taught`).
+docs/science/training.md; the budget is twice a trial's.
+
+On a good controller useful residuals are small, and PPO from scratch loses more to its exploration than it finds. With
+`--teacher-rounds` the actor is first fitted to a teacher's advice, as a student without a memory is
+(`agents.learners.student`), and PPO goes on from there in three ways that keep what is there:
+
+- exploration is so small that it costs almost nothing (`--initial-log-std`), and no bonus makes it grow;
+- the critic learns first, and the actor waits for it (`--critic-steps`): advantages by an untrained critic are noise;
+- inputs are standardised by what the student saw, in what Stable-Baselines3 calls the policy's features extractor.
 """
 
 from __future__ import annotations
@@ -12,16 +19,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
+from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.learners.student import StudentConfig
-from agents.learners.taught import PatientPPO, StandardisedInputs, TaughtLearner
-from agents.policy.actor import MODULES
+from agents.learners.student import Student, StudentConfig
+from agents.policy.actor import MODULES, Actor, Standardised, pairs_of
 from agents.residual.env import ResidualVecEnv
 from agents.residual.knowledge import Knowledge
 from agents.runs.settings import RunConfig
+from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env.task.cost import MAX_COST
 
@@ -161,6 +171,80 @@ class PpoConfig(OnPolicyConfig):
             model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
         model.critic_steps = self.critic_steps
         return model
+
+
+class StandardisedInputs(BaseFeaturesExtractor):
+    """Inputs of actor and critic, standardised as the actor's that is exported."""
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        inputs = observation_space.shape[0]
+        super().__init__(observation_space, inputs)
+        self.scales = Standardised(inputs)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Standardise observations of shape (n, inputs)."""
+        return self.scales.standardised(observations)
+
+
+class PatientPPO(PPO):
+    """PPO whose actor waits until its critic has learned for `critic_steps` agent steps."""
+
+    critic_steps = 0
+
+    def train(self) -> None:
+        """Update critic and, after a while, actor with the last rollout."""
+        policy: Any = self.policy
+        for part in (policy.mlp_extractor.policy_net, policy.action_net, policy.log_std):
+            part.requires_grad_(self.num_timesteps > self.critic_steps)
+        super().train()
+
+
+class TaughtLearner(ModelLearner):
+    """A student, and then a model that begins with what the student learned, as `agents.runs.training.Learner`."""
+
+    def __init__(self, config: PpoConfig) -> None:
+        super().__init__(config)
+        self.student = Student(config.student())
+
+    @property
+    def steps(self) -> int:
+        """Agent steps so far, the student's included."""
+        return self.student.steps + super().steps
+
+    @property
+    def _begun(self) -> bool:
+        """Whether PPO has taken over."""
+        return super().steps > 0
+
+    def actor(self) -> Actor:
+        """Copy of the current policy."""
+        return super().actor() if self._begun else self.student.actor()
+
+    def learn(self, monitor: TrainingMonitor) -> None:
+        """Learn to the end of the run, see `agents.runs.training.Learner.learn`."""
+        self.student.learn(monitor)
+        if not self._begun:
+            self.student.advice.clear()
+            give(self.student.actor(), self.model.policy)
+        super().learn(monitor)
+
+    def snapshot(self) -> dict[str, Any]:
+        """State that determines the next step; of the model only once it has begun."""
+        model = super().snapshot() if self._begun else None
+        return {"student": self.student.snapshot(), "model_and_arms": model}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore a snapshot into a new learner of the same options."""
+        self.student.restore(state["student"])
+        if state["model_and_arms"] is not None:
+            super().restore(state["model_and_arms"])
+
+
+def give(actor: Actor, policy: Any) -> None:
+    """Give a Stable-Baselines3 policy, with `StandardisedInputs`, the layers and scales of an actor."""
+    policy.features_extractor.scales.load_state_dict({"mean": actor.mean, "deviation": actor.deviation})
+    for own, theirs in pairs_of(actor, policy):
+        theirs.load_state_dict(own.state_dict())
 
 
 @dataclass(frozen=True)

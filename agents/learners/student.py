@@ -9,15 +9,8 @@ round
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
     3. the student u is fitted to the last rounds' advice, through whole episodes: min sum w H(u - y), Huber's H.
 
-This is DAgger [1] with a teacher who is asked about the student's states alone. It is also a policy gradient, as
-`agents.learners.teaching` shows: it ends where no small change of the student's torques lowers its expected cost. Why
-it works where reinforcement learning does not:
-
-- There is no exploration noise. Useful residuals on a good base are small, and the noise with which PPO looks for them
-  costs more than they gain. Here the simulation itself says what each torque did.
-- The student does not know the arm, the teacher does. Advice that rests on this knowledge cancels on average over all
-  arms that fit the student's observations. The rest is the best action without the knowledge, caution included.
-- A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
+This is DAgger [1] with a teacher who is asked about the student's states alone, and a policy gradient without
+exploration noise: docs/science/learning.md says why it works where reinforcement learning does not.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
 (`agents.policy.regression`); the learning rate falls to zero over the run.
@@ -28,13 +21,13 @@ Online Learning, AISTATS 2011.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Advice, Recorder, advise
@@ -133,8 +126,12 @@ class Student:
         self.config = config
         self.rounds = 0
         self.advice: list[Advice] = []
-        self.pause: Callable[[int], object] = lambda _: None  # called within a round, with agent steps just made
-        self._regression = Regression(as_base(Actor(config.spec().shape())), MAX_GRADIENT)
+        self._monitor: TrainingMonitor | None = None
+        self._steps_of_round = 0
+        actor = Actor(config.spec().shape())
+        for parameter in actor.layers[-1].parameters():
+            nn.init.zeros_(parameter)  # so that it does what its base does
+        self._regression = Regression(actor, MAX_GRADIENT)
 
     @property
     def steps(self) -> int:
@@ -150,14 +147,22 @@ class Student:
         """Copy of the current policy."""
         return self._regression.averaged()
 
+    def pause(self, steps: int) -> None:
+        """Report agent steps just made within a round; raises Interrupted on a request to stop."""
+        self._steps_of_round += steps
+        if self._monitor is not None:
+            self._monitor.stop_if_asked(save=False)
+            self._monitor.tell(self._monitor.learner.steps + self._steps_of_round)
+
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.training.Learner.learn`.
 
         Checkpoints are taken at the end of a round; an interrupted round is repeated.
         """
         monitor.begin()
+        self._monitor = monitor
         while self.rounds < self.config.rounds:
-            self.pause = Pause(monitor)
+            self._steps_of_round = 0
             recording, recorder = self.move()
             advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
             self.advice = [*self.advice, advice][-self.config.remembered :]
@@ -222,29 +227,3 @@ class Student:
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return mean
-
-
-def as_base(actor: Actor) -> Actor:
-    """Set an actor's last layer to zero, so that it does what its base does."""
-    with torch.no_grad():
-        for parameter in actor.layers[-1].parameters():
-            parameter.zero_()
-    return actor
-
-
-class Pause:
-    """Reports progress within a round, and interrupts it on request."""
-
-    def __init__(self, monitor: TrainingMonitor) -> None:
-        self._monitor = monitor
-        self._steps = 0
-
-    def __call__(self, steps: int) -> None:
-        """Count agent steps.
-
-        Raises:
-            Interrupted: If the run is to stop.
-        """
-        self._steps += steps
-        self._monitor.stop_if_asked(save=False)
-        self._monitor.tell(self._monitor.learner.steps + self._steps)

@@ -18,9 +18,8 @@ from trainings import StopAfter, run, same_policies, tiny
 
 import agents.learners.student
 from agents.learners import teaching
-from agents.learners.ppo import TAUGHT, PpoConfig
+from agents.learners.ppo import TAUGHT, PpoConfig, TaughtLearner
 from agents.learners.student import Student, StudentConfig
-from agents.learners.taught import TaughtLearner
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
