@@ -62,44 +62,33 @@ class Episodes(NamedTuple):
 class Disturbed:
     """Controller whose torque is disturbed, and that notes what an observer sees; for one rollout."""
 
-    def __init__(self, controller: Controller, observer: Observer, noise: float, seed: int) -> None:
-        self.informed = InformedBase(controller, observer.knowledge)
+    def __init__(self, source: Source, observer: Observer, seed: int, count: int) -> None:
+        self.informed = InformedBase(source.controller(), observer.knowledge)
         self.params = self.informed.params
         self.inputs: list[NDArray[np.float16]] = []
         self._observer = observer
-        self._noise = noise
         self._random = np.random.default_rng(seed)
         self._step = 0
-        self._size = self._disturbance = np.zeros((0, 1))
+        self._size = source.noise * self._random.random((count, 1))
+        self._disturbance = np.zeros((count, 1))
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Call the controller's `predict`, and disturb what it returns."""
-        count = len(observation)
-        if state is None:
-            self._size = self._noise * self._random.random((count, 1))
-            self._disturbance = np.zeros((count, 1))
         informed = self.informed.advance(observation, state, episode_start)
         if self._step % self._observer.hold == 0:
             seen = self.informed.seen(observation, informed)
             self.inputs.append(seen[:, self._observer.columns].astype(np.float16))
         self._step += 1
-        fresh = self._random.standard_normal((count, 1))
+        fresh = self._random.standard_normal((len(observation), 1))
         self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
         return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
 
 
 def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
-    """Run a source on arms of the training ranges, but for those that leave their workspace.
-
-    Args:
-        source: What acts.
-        observer: For its inputs.
-        first: Seed of the first arm.
-        count: Number of arms.
-    """
-    disturbed = Disturbed(source.controller(), observer, source.noise, first)
+    """Run a source on arms seeded from `first` on, and leave out those that leave their workspace."""
+    disturbed = Disturbed(source, observer, first, count)
     recording = rollout(disturbed, count, seed=first, randomization="train")
     stayed = np.flatnonzero(recording.finished)
     inputs, true = np.stack(disturbed.inputs)[:, stayed], truth(recording, observer.hold)[:, stayed]

@@ -50,10 +50,8 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
     """Write an observer.
 
     Raises:
-        ObserverError: If its weights are not finite.
         OSError: If it cannot be written; a file of before stays.
     """
-    _require_sound(observer, path)
     tensors = {name: value.numpy() for name, value in observer.state_dict().items()}
     content = {
         **_belongs_to(observer),
@@ -82,17 +80,10 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
     for name, value in _belongs_to(observer).items():
         if (found := content.get(name)) != value:
             raise ObserverError(f"{path} was made for another {name}, {in_a_line(repr(found), 80)}; fit it again")
-    if any(value.dtype != np.float32 for value in arrays.values()):
-        raise ObserverError(f"{path} has weights that are not in single precision; fit it again")
     try:
         observer.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
     except RuntimeError as error:
         raise ObserverError(f"{path} does not hold the weights of its observer: {in_a_line(error)}") from None
-    _require_sound(observer, path)
-    return observer.requires_grad_(False), content
-
-
-def _require_sound(observer: Observer, path: Path) -> None:
-    weights = observer.state_dict()
-    if not all(torch.isfinite(value).all() for value in weights.values()) or not (weights["deviation"] > 0).all():
+    if not all(np.isfinite(value).all() for value in arrays.values()) or not (arrays["deviation"] > 0).all():
         raise ObserverError(f"{path}: the observer has weights that are not finite, or inputs without a scale")
+    return observer.requires_grad_(False), content

@@ -44,13 +44,8 @@ def offered(knowledge: Knowledge) -> tuple[Entry, ...]:
     return (*observation.ENTRIES["encoder"], *ENTRIES[knowledge])
 
 
-def inputs_of(knowledge: Knowledge) -> tuple[str, ...]:
-    """Names of an observer's inputs: all that an agent observes but the torque that its base is about to give."""
-    return tuple(entry.name for entry in offered(knowledge) if entry.name != "base_torque")
-
-
 class Observer(Standardised):
-    """Learned observer.
+    """Learned observer; its inputs are all that an agent observes but the torque that its base is about to give.
 
     Args:
         knowledge: "belief" to correct that of the filter, "none" to see the measurements alone.
@@ -68,13 +63,14 @@ class Observer(Standardised):
         for name, value, most in (("width", width, MAX_WIDTH), ("hold", hold, 100)):
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
                 raise ValueError(f"an observer's {name} must be a whole number from 1 to {most}, got {value!r}")
-        super().__init__(len(inputs_of(knowledge)))
+        entries = offered(knowledge)
+        columns = [k for k, entry in enumerate(entries) if entry.name != "base_torque"]
+        names = [entries[k].name for k in columns]
+        super().__init__(len(names))
         self.knowledge: Knowledge = knowledge
         self.width, self.hold = width, hold
-        names, entries = inputs_of(knowledge), offered(knowledge)
-        at = {entry.name: k for k, entry in enumerate(entries)}
+        self.columns = np.array(columns)
         self._offered = len(entries)
-        self.columns = np.array([at[name] for name in names])
         self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None
         self.register_buffer("_units", torch.as_tensor(SCALES, dtype=torch.float32), persistent=False)
         self.register_buffer("error", torch.ones(len(NAMES)))
