@@ -16,7 +16,7 @@ from agents.observer.network import Observer
 from agents.observer.quantities import truth
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.bases import make_base
-from agents.residual.informed import InformedBase
+from agents.residual.knowledge import InformedBase
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import OBSERVER

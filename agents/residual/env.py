@@ -12,8 +12,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual.controller import ResidualSettings, checked_residual, combine
-from agents.residual.informed import InformedBase, InformedMemory
-from agents.residual.knowledge import residual_observation_space
+from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -165,7 +164,8 @@ class ResidualVecEnv(VecEnv):
             if ended.any():
                 last = observation.copy()
                 last[ended] = np.stack(info["final_obs"][ended])
-                final, self._memory = self.informed.ended(last, observation, self._memory, ended)
+                final = self.informed.advance(last, self._memory, None)
+                self._memory = self.informed.advance(observation, self._memory, ended, final.belief)
                 seen, summary = self.informed.seen(last, final), info["final_info"]
                 for arm in np.flatnonzero(ended & ~done):
                     cost, steps = float(summary["total_cost"][arm]), int(summary["episode_steps"][arm])

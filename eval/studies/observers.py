@@ -15,8 +15,7 @@ from agents.observer.episodes import Source
 from agents.observer.files import SHIPPED, load_observer
 from agents.observer.network import Estimate, Observer, offered
 from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, QUANTITIES, SCALES, truth
-from agents.residual.informed import InformedBase
-from agents.residual.knowledge import Knowledge
+from agents.residual.knowledge import InformedBase, Knowledge
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, rollout

@@ -19,7 +19,7 @@ from agents.observer.files import ObserverError, load_observer, save_observer
 from agents.observer.network import MAX_WIDTH, Observer, offered
 from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
 from agents.observer.run import ObserverConfig, fit
-from agents.residual.informed import InformedBase
+from agents.residual.knowledge import InformedBase
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
