@@ -9,25 +9,37 @@ root mean square of what b is wrong by in training. Without a filter b is 0, and
 It is fitted by the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the
 errors are: an observer that does not know says so.
 
+A file of an observer (`agents.tensor_file`) has its weights and, in the header, its settings, what it belongs to, and
+how it came about.
+
 D. Nix, A. Weigend: Estimating the Mean and Variance of the Target Probability Distribution, ICNN 1994.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import nn
 
-from agents.observer.quantities import BELIEVED, NAMES, SCALES
+from agents.observer.quantities import BELIEVED, NAMES, QUANTITIES, SCALES
 from agents.policy.actor import Standardised
 from agents.policy.network import begun
+from agents.residual.bases import base_settings, settings_hash
 from agents.residual.knowledge import ENTRIES, Knowledge
+from agents.tensor_file import packed, read_packed
+from baselines.tools.command import this_python
+from baselines.tools.files import write_atomically
+from baselines.tools.schema import in_a_line
 from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.observation import Entry
+from beltarm_env.observation import LAYOUT, Entry
+from beltarm_env.task.ranges import EDITION
 
+SHIPPED = Path(__file__).resolve().parent / "shipped"
+"""Folder of the shipped observers: `belief.safetensors` corrects the filter, `none.safetensors` has none."""
 MAX_WIDTH = 128
 _SMALLEST, _LARGEST = -4.0, 2.0  # s
 
@@ -118,3 +130,59 @@ class Observer(Standardised):
     def _answer(self, features: torch.Tensor, remembered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         g, s = self.heads(torch.cat([features, remembered], dim=-1)).chunk(2, dim=-1)
         return g, s.clamp(_SMALLEST, _LARGEST)
+
+
+def _belongs_to(observer: Observer) -> dict[str, Any]:
+    """What must be the same here for an observer to be used."""
+    return {
+        "format": "beltarm-observer",
+        "version": 1,
+        "layout": LAYOUT,
+        "edition": EDITION,
+        "entries": [list(entry) for entry in offered(observer.knowledge)],
+        "quantities": [list(quantity) for quantity in QUANTITIES],
+        "filter": settings_hash(base_settings("none", observer.knowledge)),
+    }
+
+
+def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) -> None:
+    """Write an observer.
+
+    Raises:
+        OSError: If it cannot be written; a file of before stays.
+    """
+    tensors = {name: value.numpy() for name, value in observer.state_dict().items()}
+    content = {
+        **_belongs_to(observer),
+        "knowledge": observer.knowledge,
+        "width": observer.width,
+        "hold": observer.hold,
+        "provenance": provenance,
+    }
+    data = packed("observer", content, tensors)
+    write_atomically(path, lambda temporary: temporary.write_bytes(data))
+
+
+def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer, dict[str, Any]]:
+    """Read an observer, and its metadata.
+
+    Raises:
+        ValueError: If it is missing, damaged, or made for another release, observation or filter.
+    """
+    try:
+        content, arrays = read_packed(path, "observer")
+        observer = Observer(content["knowledge"], content["width"], content["hold"])
+    except FileNotFoundError:
+        raise ValueError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no observer of this release ({in_a_line(error)})") from None
+    for name, value in _belongs_to(observer).items():
+        if (found := content.get(name)) != value:
+            raise ValueError(f"{path} was made for another {name}, {in_a_line(repr(found), 80)}; fit it again")
+    try:
+        observer.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
+    except RuntimeError as error:
+        raise ValueError(f"{path} does not hold the weights of its observer: {in_a_line(error)}") from None
+    if not all(np.isfinite(value).all() for value in arrays.values()) or not (arrays["deviation"] > 0).all():
+        raise ValueError(f"{path}: the observer has weights that are not finite, or inputs without a scale")
+    return observer.requires_grad_(False), content

@@ -27,8 +27,7 @@ import agents
 import baselines
 import beltarm_env
 from agents.observer.episodes import STUDENT, Episodes, simulate_block
-from agents.observer.files import save_observer
-from agents.observer.network import Observer
+from agents.observer.network import Observer, save_observer
 from agents.policy.bundle import read_spec
 from agents.policy.regression import Regression
 from agents.residual.knowledge import Knowledge

@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.observer.episodes import Source
-from agents.observer.files import SHIPPED, load_observer
-from agents.observer.network import Estimate, Observer, offered
+from agents.observer.network import SHIPPED, Estimate, Observer, load_observer, offered
 from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, QUANTITIES, SCALES, truth
 from agents.residual.knowledge import InformedBase, Knowledge
 from baselines.tools.progress import progress_over

@@ -12,11 +12,10 @@ import pytest
 import torch
 from refusals import refused
 
-from agents.observer import files
+from agents.observer import network
 from agents.observer import run as running
 from agents.observer.episodes import Episodes
-from agents.observer.files import ObserverError, load_observer, save_observer
-from agents.observer.network import MAX_WIDTH, Observer, offered
+from agents.observer.network import MAX_WIDTH, Observer, load_observer, offered, save_observer
 from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
 from agents.observer.run import ObserverConfig, fit
 from agents.residual.knowledge import InformedBase
@@ -134,25 +133,25 @@ class TestFiles:
     def test_missing_foreign_and_damaged_files_are_refused(self, tmp_path: Path):
         """As those of policies are, in `test_bundles.py`."""
         path = tmp_path / "a.safetensors"
-        refused(ObserverError, (path.name, "train/observer.py"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "train/observer.py"), lambda: load_observer(path))
         save_observer(path, Observer(width=4), {})
         path.write_bytes(path.read_bytes()[:-1] + b"\xff")
-        refused(ObserverError, (path.name, "damaged"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "damaged"), lambda: load_observer(path))
         path.write_bytes(b"something else")
-        refused(ObserverError, (path.name, "no observer of this release"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "no observer of this release"), lambda: load_observer(path))
 
     def test_unsound_weights_and_those_for_another_arm_observation_or_filter_are_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
-        path, observer, now = tmp_path / "a.safetensors", Observer(width=4), files._belongs_to
+        path, observer, now = tmp_path / "a.safetensors", Observer(width=4), network._belongs_to
         for name in ("edition", "entries", "filter"):
             with monkeypatch.context() as patch:
-                patch.setattr(files, "_belongs_to", lambda observer, name=name: {**now(observer), name: 0})
+                patch.setattr(network, "_belongs_to", lambda observer, name=name: {**now(observer), name: 0})
                 save_observer(path, observer, {})
-            refused(ObserverError, (name, "fit it again"), lambda: load_observer(path))
+            refused(ValueError, (name, "fit it again"), lambda: load_observer(path))
         observer.deviation[0] = 0
         save_observer(path, observer, {})
-        refused(ObserverError, ("without a scale",), lambda: load_observer(path))
+        refused(ValueError, ("without a scale",), lambda: load_observer(path))
 
 
 class TestRun:
