@@ -79,32 +79,30 @@ class SacConfig(ReinforcementConfig):
         require_bounds(self, noise=(0, None), tau=(0, 1), buffer_size=(max(self.arms, self.batch_size), None))
         self.positive("tau", "exploration", "initial_entropy_weight")
 
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of the Stable-Baselines3 model."""
-        return {
-            "learning_rate": self.learning_rate,
-            "buffer_size": self.buffer_size,
-            "learning_starts": self.learning_starts,
-            "batch_size": self.batch_size,
-            "tau": self.tau,
-            "gamma": self.gamma,
-            "train_freq": (1, "step"),
-            "gradient_steps": self.gradient_steps,
-            "action_noise": NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
-            "policy_kwargs": {
+    def make_model(self, env: ResidualVecEnv) -> ResidualSAC:
+        """Make an untrained model whose mean residual is near zero."""
+        model = ResidualSAC(
+            "MlpPolicy",
+            env,
+            learning_rate=self.learning_rate,
+            buffer_size=self.buffer_size,
+            learning_starts=self.learning_starts,
+            batch_size=self.batch_size,
+            tau=self.tau,
+            gamma=self.gamma,
+            train_freq=(1, "step"),
+            gradient_steps=self.gradient_steps,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
+            policy_kwargs={
                 "net_arch": list(self.hidden),
                 "activation_fn": MODULES[self.activation],
                 "optimizer_class": ClippedAdam,
             },
-            "ent_coef": f"auto_{self.initial_entropy_weight}",
-            "target_entropy": self.target_entropy,
-            "seed": self.seed,
-            "device": self.device,
-        }
-
-    def make_model(self, env: ResidualVecEnv) -> ResidualSAC:
-        """Make an untrained model whose mean residual is near zero."""
-        model = ResidualSAC("MlpPolicy", env, **self.arguments())
+            ent_coef=f"auto_{self.initial_entropy_weight}",
+            target_entropy=self.target_entropy,
+            seed=self.seed,
+            device=self.device,
+        )
         actor: Any = model.actor
         with torch.no_grad():
             actor.mu.weight.mul_(_NEAR_ZERO)

@@ -15,7 +15,7 @@ from agents.residual.controller import ResidualSettings, checked_residual, combi
 from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
-from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, check_data_sheet
 
 
@@ -158,8 +158,10 @@ class ResidualVecEnv(VecEnv):
             observation, reward, terminated, truncated, info = self.env.step(
                 combine(self._memory.action, residual, self.settings.limit)
             )
-            ended = terminated | truncated
-            reward = reward - (self.torque_price - 1.0) * _torque_charge(info, ended)
+            ended, charge = terminated | truncated, info["cost_torque_rate"]
+            if ended.any():
+                charge = np.where(ended, info["final_info"]["cost_torque_rate"], charge)
+            reward = reward - (self.torque_price - 1.0) * charge
             rewards += reward if not done.any() else np.where(done, 0.0, reward)
             if ended.any():
                 last = observation.copy()
@@ -202,9 +204,3 @@ class ResidualVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
         """Return False for every arm asked for: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
-
-
-def _torque_charge(info: dict[str, Any], ended: Flags) -> Floats:
-    """What the task charged for the last change of the torque, shape (n,)."""
-    charge = info["cost_torque_rate"]
-    return np.where(ended, info["final_info"]["cost_torque_rate"], charge) if ended.any() else charge

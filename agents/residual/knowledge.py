@@ -119,16 +119,7 @@ def write_torque(entries: ExtraEntries, action: float, extra: Singles) -> None:
 
 @compiled
 def write_belief(entries: ExtraEntries, now: Sample, notes: Notes, i: int, unexplained: Floats, extra: Singles) -> None:
-    """Write the entries of a belief, see `ENTRIES`.
-
-    Args:
-        entries: Constants.
-        now: What is measured.
-        notes: What is believed at this sample.
-        i: Which of them is this arm's.
-        unexplained: From `push_unexplained`, shape (RECENT,).
-        extra: Written, shape (entries,).
-    """
+    """Write the entries of the belief about arm i, see `ENTRIES`; `unexplained` is that of `push_unexplained`."""
     tracks, plant = notes.tracks, entries.plant
     z = tracks.mean[i]
     x = ArmState(z[0], z[1], z[2], z[3])
