@@ -9,7 +9,6 @@ Friction is that of the episode's start, from which it drifts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.residual.knowledge import ENTRIES
 from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
@@ -42,18 +41,12 @@ def truth(recording: Recording, hold: int) -> Floats:
     Those of sample 0, at which nothing is recorded yet, are the next sample's: the arm is at rest.
     """
     rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
-    moving = (_belt_motions(recording, rows), recording.tip_error[rows], recording.tip_velocity_error[rows])
-    constants = np.broadcast_to(_logs(recording.params), (len(rows), len(recording.params), len(IDENTIFIED)))
-    return np.concatenate([*moving, constants], axis=2)
-
-
-def _belt_motions(recording: Recording, rows: NDArray[np.int64]) -> Floats:
-    """Torsion and its rate of the belts themselves, which the error of the gear moves too, shape (rows, n, 2)."""
-    motions = np.empty((len(rows), len(recording.params), 2))
+    count = len(recording.params)
+    belts = np.empty((len(rows), count, 2))  # of the belts themselves, which the error of the gear moves too
     for i, row in enumerate(recording.params):
-        states = np.ascontiguousarray(recording.state[rows, i])
-        motions[:, i] = belt_motions(states, plant_of(row), built_drive(row))
-    return motions
+        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
+    constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
+    return np.concatenate([belts, recording.tip_error[rows], recording.tip_velocity_error[rows], constants], axis=2)
 
 
 def _logs(table: Floats) -> Floats:

@@ -107,17 +107,8 @@ def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Ten
     return (0.5 * ((d - g) / s.exp()).square() + s).mean()
 
 
-def fit(
-    observer: Observer, episodes: Episodes, epochs: int, learning_rate: float, batch_size: int
-) -> Iterator[tuple[float, float]]:
-    """Fit an observer in place, by the running average of the weights; its scales are those of the episodes.
-
-    Args:
-        observer: Untrained.
-        episodes: What to fit it to.
-        epochs: Passes over them.
-        learning_rate: At first; it falls to zero.
-        batch_size: Episodes per gradient step.
+def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Iterator[tuple[float, float]]:
+    """Fit an untrained observer in place, by the running average of the weights; its scales are those of the episodes.
 
     Yields:
         Share that is done, and the loss, after every gradient step.
@@ -132,12 +123,12 @@ def fit(
     network = copy.deepcopy(observer)
     regression = Regression(network, _MAX_GRADIENT)
     count = episodes.truth.shape[1]
-    batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
+    batches = [rows for _ in range(config.epochs) for rows in torch.randperm(count).split(config.batch_size)]
     for k, rows in enumerate(batches):
         loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
         if not np.isfinite(loss.item()):
             raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
-        regression.step(loss, learning_rate * (1 - k / len(batches)))
+        regression.step(loss, config.learning_rate * (1 - k / len(batches)))
         yield (k + 1) / len(batches), loss.item()
     observer.load_state_dict(regression.averaged().state_dict())
 
@@ -189,7 +180,7 @@ def run(config: ObserverConfig) -> None:
         torch.set_num_threads(1)
         torch.manual_seed(config.seed)  # simulating in this process draws from it too
         with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
-            for share, loss in fit(observer, episodes, config.epochs, config.learning_rate, config.batch_size):
+            for share, loss in fit(observer, episodes, config):
                 rows.show("fit", share, f"loss {loss:.3f}")
     except KeyboardInterrupt:
         message = "interrupted; simulated episodes are kept, and the same command continues with them"

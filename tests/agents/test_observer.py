@@ -106,7 +106,7 @@ def made_up(count: int, seed: int = 0) -> Episodes:
 def test_a_fit_finds_what_can_be_known_and_says_how_well():
     torch.manual_seed(0)
     observer, episodes = Observer(width=8), made_up(256)
-    losses = [loss for _, loss in fit(observer, episodes, epochs=20, learning_rate=1e-2, batch_size=32)]
+    losses = [loss for _, loss in fit(observer, episodes, ObserverConfig(epochs=20, learning_rate=1e-2))]
     assert losses[-1] < losses[0] - 0.5
     fresh = made_up(64, seed=1)
     inputs = fresh.inputs.float()
