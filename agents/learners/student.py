@@ -164,7 +164,7 @@ class Student:
         while self.rounds < self.config.rounds:
             self._steps_of_round = 0
             recording, recorder = self.move()
-            advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
+            advice = advise(recording, recorder, self.config.residual, self.config.torque_price)
             self.advice = [*self.advice, advice][-self.config.remembered :]
             error = self.fit()
             monitor.logger.record("student/cost", float(recording.cost.mean()))

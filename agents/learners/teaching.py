@@ -55,16 +55,11 @@ class Advice(NamedTuple):
 
 
 class Recorder:
-    """Policy whose inputs and residuals are kept, one of each per hold of an episode.
-
-    Args:
-        policy: What acts.
-        pause: Called before each hold, with the number of arms.
-    """
+    """Policy whose inputs and residuals are kept, one of each per hold of an episode; `pause` is called before each."""
 
     def __init__(self, policy: Policy, pause: Callable[[int], object] = lambda _: None) -> None:
         self._policy = policy
-        self._pause = pause
+        self.pause = pause
         self.inputs: list[Singles] = []
         self.residuals: list[Singles] = []
 
@@ -72,31 +67,24 @@ class Recorder:
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Call the policy's `predict`, and keep what it sees and chooses."""
-        self._pause(len(observation))
+        self.pause(len(observation))
         residual, memory = self._policy.predict(observation, state, episode_start, deterministic)
         self.inputs.append(observation)
         self.residuals.append(residual)
         return residual, memory
 
 
-def advise(
-    recording: Recording,
-    recorder: Recorder,
-    settings: ResidualSettings,
-    price: float = 1.0,
-    pause: Callable[[int], object] = lambda _: None,
-) -> Advice:
+def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings, price: float = 1.0) -> Advice:
     """Say for every hold of every arm what a student should have done; only of arms that stayed in their workspace.
 
     Args:
         recording: Episodes under the student.
-        recorder: The student's inputs and residuals in them.
+        recorder: The student's inputs and residuals in them; its `pause` is called before each arm, with zero.
         settings: Of the student's residual.
         price: See `best_changes`.
-        pause: Called before each arm, with zero.
     """
     hold, limit, moves = settings.hold, settings.limit, recording.num_moves
-    changes, curvatures = best_changes(recording, price, pause)
+    changes, curvatures = best_changes(recording, price, recorder.pause)
     stayed = np.flatnonzero(recording.finished[-recording.num_arms :])
 
     def sums(samples: Floats) -> Floats:

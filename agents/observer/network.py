@@ -29,9 +29,9 @@ from agents.policy.actor import Standardised
 from agents.policy.network import begun
 from agents.residual.bases import base_settings, settings_hash
 from agents.residual.knowledge import ENTRIES, Knowledge
-from agents.tensor_file import packed, read_packed
+from agents.tensor_file import MAX_BYTES, packed, unpacked
 from baselines.tools.command import this_python
-from baselines.tools.files import write_atomically
+from baselines.tools.files import read_regular, write_atomically
 from baselines.tools.schema import in_a_line
 from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -170,7 +170,7 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         ValueError: If it is missing, damaged, or made for another release, observation or filter.
     """
     try:
-        content, arrays = read_packed(path, "observer")
+        content, arrays = unpacked(read_regular(path, MAX_BYTES), "observer")
         observer = Observer(content["knowledge"], content["width"], content["hold"])
     except FileNotFoundError:
         raise ValueError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
