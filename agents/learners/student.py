@@ -199,13 +199,15 @@ class Student:
         """Fit the student to the advice of the last rounds.
 
         Returns:
-            Mean weighted squared error of the last pass.
+            Mean weighted squared error of the last pass; 0 without advice, where all arms have left.
 
         Raises:
             ValueError: If it is not finite.
         """
         config, network = self.config, self._regression.network
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
+        if not labels.numel():
+            return 0.0
         if self.rounds == 0:  # the average takes over what is no weight with its next step
             network.set_scales(inputs.float())
 
@@ -223,7 +225,7 @@ class Student:
                 self._regression.step((weight * losses).mean().mul(_SCALE), config.learning_rate_left(1 - share_done))
                 errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
-        mean = float(np.mean(errors[-batches:])) if errors else 0.0
+        mean = float(np.mean(errors[-batches:]))
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return mean

@@ -162,6 +162,12 @@ def test_a_memory_tells_apart_what_looks_the_same(width: int, remembers: bool):
     assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
+def test_rounds_whose_arms_all_left_teach_nothing():
+    learner = Student(tiny("student", Path("unused")))
+    learner.advice = [Advice(torch.zeros(30, 0, 27).half(), torch.zeros(30, 0), torch.zeros(30, 0))]
+    assert learner.fit() == 0.0 and torch.isfinite(learner.actor().mean).all()
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
     """A run that nothing has interrupted: its folder, and the seeds of its trials."""
