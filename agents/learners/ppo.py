@@ -3,13 +3,9 @@
 The defaults of PPO are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see
 docs/science/training.md; the budget is twice a trial's.
 
-On a good controller useful residuals are small, and PPO from scratch loses more to its exploration than it finds. With
-`--teacher-rounds` the actor is first fitted to a teacher's advice, as a student without a memory is
-(`agents.learners.student`), and PPO goes on from there in three ways that keep what is there:
-
-- exploration is so small that it costs almost nothing (`--initial-log-std`), and no bonus makes it grow;
-- the critic learns first, and the actor waits for it (`--critic-steps`): advantages by an untrained critic are noise;
-- inputs are standardised by what the student saw, in what Stable-Baselines3 calls the policy's features extractor.
+With `--teacher-rounds` the actor is first fitted to a teacher's advice, as a student without a memory is
+(`agents.learners.student`). PPO goes on from there with little exploration (`TAUGHT`) and the student's standardised
+inputs, after its critic has learned alone (`--critic-steps`): advantages by an untrained critic are noise.
 """
 
 from __future__ import annotations
@@ -157,10 +153,7 @@ class PpoConfig(OnPolicyConfig):
 
     @property
     def worst_reward(self) -> float:
-        """Reward floor: the cost of three holds at its bound.
-
-        An arm that leaves is charged for all samples at once, and would drown the advantages of all others.
-        """
+        """Reward floor: the cost of three holds at its bound; more would drown the advantages of all other arms."""
         return 3 * MAX_COST * self.reward_scale
 
     def make_model(self, env: ResidualVecEnv) -> PPO:

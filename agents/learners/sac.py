@@ -1,9 +1,7 @@
 """SAC, soft actor-critic, as learner, with hundreds of arms side by side: its options, defaults and model.
 
-Three things differ from what the algorithm does by default, so that a residual on a base that works stays harmless
-while nothing has been learnt: the actor's last layer begins near zero, exploration from the first step on is the
-actor's own plus noise (not uniform torques, which throw the arm out of its workspace), and gradients are clipped, for
-an arm that does leave costs as much as a hundred that do not.
+Three things differ from what the algorithm does by default, see docs/science/training.md: the actor's last layer begins
+near zero, exploration is the actor's own from the first step on, and gradients are clipped.
 """
 
 from __future__ import annotations
@@ -66,10 +64,7 @@ class SacConfig(ReinforcementConfig):
 
     @property
     def worst_reward(self) -> float:
-        """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with.
-
-        The critics have to tell residuals apart whose values differ by a thousandth of the whole charge.
-        """
+        """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with."""
         return MAX_COST * self.reward_scale / (1 - self.gamma) if self.gamma < 1 else inf
 
     def check(self) -> None:

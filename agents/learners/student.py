@@ -138,11 +138,6 @@ class Student:
         """Agent steps so far."""
         return self.rounds * self.config.samples // self.config.hold
 
-    @property
-    def seed(self) -> int:
-        """First seed of this round's arms."""
-        return training_arms(self.config.seed).first + self.rounds * self.config.arms
-
     def actor(self) -> Actor:
         """Copy of the current policy."""
         return self._regression.averaged()
@@ -181,7 +176,8 @@ class Student:
         task = task_of(config.moves, config.sensors, config.randomization)
         if self.rounds % 2:
             task["randomization"] = RANGES[config.randomization]
-        return rollout(controller, config.arms, seed=self.seed, **task), recorder
+        first = training_arms(config.seed).first + self.rounds * config.arms
+        return rollout(controller, config.arms, seed=first, **task), recorder
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
