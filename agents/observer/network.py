@@ -4,10 +4,9 @@
     (g, s) = W [o, GRU(o)] + c
     q      = b + e g,    sigma = e exp(s)
 
-with the estimates q of `agents.observer.quantities`, their standard deviations sigma, the filter's belief b and e, the
-root mean square of what b is wrong by in training. Without a filter b is 0, and the network has the measurements alone.
-It is fitted by the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the
-errors are: an observer that does not know says so.
+with the estimates q of `QUANTITIES`, their standard deviations sigma, the filter's belief b and e, the root mean square
+of what b is wrong by in training. Without a filter b is 0, and the network has the measurements alone. It is fitted by
+the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the errors are.
 
 A file of an observer (`agents.tensor_file`) has its weights and, in the header, its settings, what it belongs to, and
 how it came about.
@@ -24,12 +23,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.observer.quantities import BELIEVED, NAMES, QUANTITIES, SCALES
 from agents.policy.actor import Standardised
 from agents.policy.network import begun
 from agents.residual.bases import base_settings, settings_hash
 from agents.residual.knowledge import ENTRIES, Knowledge
 from agents.tensor_file import MAX_BYTES, packed, unpacked
+from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.tools.command import this_python
 from baselines.tools.files import read_regular, write_atomically
 from baselines.tools.schema import in_a_line
@@ -38,6 +37,17 @@ from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import LAYOUT, Entry
 from beltarm_env.task.ranges import EDITION
 
+_STATES = ("torsion", "torsion_speed", "tip_error_x", "tip_error_y", "tip_speed_error_x", "tip_speed_error_y")
+_TOLD = {entry.name: entry for entry in ENTRIES["belief"]}
+QUANTITIES: tuple[Entry, ...] = tuple(_TOLD[f"believed_{name}"]._replace(name=name) for name in (*_STATES, *IDENTIFIED))
+"""All that is estimated, with units; of constants, see `baselines.estimation.believed_arm`, the logarithms over their
+nominal values."""
+NAMES = tuple(quantity.name for quantity in QUANTITIES)
+SCALES = np.array([quantity.scale for quantity in QUANTITIES])
+BELIEVED = tuple(f"believed_{name}" for name in NAMES)
+"""Entries of an agent's observation that hold a filter's estimates of them."""
+DOUBTS = {name: f"doubt_of_{name}" for name in NAMES if f"doubt_of_{name}" in _TOLD}
+"""Entries that hold the filter's standard deviations, where it states one."""
 SHIPPED = Path(__file__).resolve().parent / "shipped"
 """Folder of the shipped observers: `belief.safetensors` corrects the filter, `none.safetensors` has none."""
 MAX_WIDTH = 128
@@ -45,7 +55,7 @@ _SMALLEST, _LARGEST = -4.0, 2.0  # s
 
 
 class Estimate(NamedTuple):
-    """What an observer estimates, columns as `agents.observer.quantities.QUANTITIES`, in their units."""
+    """What an observer estimates, columns as `QUANTITIES`, in their units."""
 
     mean: Floats  # (n, quantities)
     deviation: Floats  # (n, quantities)

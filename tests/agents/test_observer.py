@@ -14,9 +14,8 @@ from refusals import refused
 
 from agents.observer import network
 from agents.observer import run as running
-from agents.observer.episodes import Episodes
-from agents.observer.network import MAX_WIDTH, Observer, load_observer, offered, save_observer
-from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
+from agents.observer.episodes import Episodes, truth
+from agents.observer.network import BELIEVED, MAX_WIDTH, NAMES, SCALES, Observer, load_observer, offered, save_observer
 from agents.observer.run import ObserverConfig, fit
 from agents.residual.knowledge import InformedBase
 from baselines import CONTROLLERS
