@@ -10,14 +10,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from baselines.tools.files import read_regular
 from baselines.tools.schema import in_a_line, parse
 
 MAX_BYTES = 1_000_000
@@ -25,12 +23,7 @@ MAX_BYTES = 1_000_000
 
 
 def packed(kind: str, description: Mapping[str, Any], tensors: Mapping[str, np.ndarray]) -> bytes:
-    """Content of a file, which is the same for the same description and tensors.
-
-    Args:
-        kind: Name of the description in the metadata, such as "policy".
-        description: As JSON has it.
-        tensors: By name.
+    """Content of a file, whose metadata have the description, as JSON, by the name of its kind, such as "policy".
 
     Raises:
         ValueError: If the description is not JSON, or the file would have more than `MAX_BYTES`.
@@ -41,11 +34,6 @@ def packed(kind: str, description: Mapping[str, Any], tensors: Mapping[str, np.n
     if len(data) > MAX_BYTES:
         raise ValueError(f"a {kind} may have at most {MAX_BYTES} bytes, this has {len(data)}: use smaller layers")
     return data
-
-
-def read_packed(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Read a file that others may have made, see `unpacked`; raises OSError if it cannot be read or is too large."""
-    return unpacked(read_regular(path, MAX_BYTES), kind)
 
 
 def unpacked(data: bytes, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

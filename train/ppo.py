@@ -5,7 +5,7 @@ the training log (CSV and TensorBoard), and `checkpoint.pkl`, from which `--resu
 pickle, for this machine only. Share `best/`, which holds only numbers and text.
 
 The model is in `agents/learners/ppo.py`. On a base that leaves little to find, a teacher's advice comes first:
-`python train/ppo.py --base adaptive --moves 4 --teacher-rounds 10`, see `agents/learners/taught.py`.
+`python train/ppo.py --base adaptive --moves 4 --teacher-rounds 10`.
 
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """

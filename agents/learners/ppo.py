@@ -1,8 +1,11 @@
 """PPO, proximal policy optimisation, with and without an LSTM: options, defaults and models.
 
 The defaults of PPO are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see
-docs/science/training.md; the budget is twice a trial's. On a base that leaves little to find, a teacher's advice
-comes first (`--teacher-rounds`, `agents.learners.taught`).
+docs/science/training.md; the budget is twice a trial's.
+
+With `--teacher-rounds` the actor is first fitted to a teacher's advice, as a student without a memory is
+(`agents.learners.student`). PPO goes on from there with little exploration (`TAUGHT`) and the student's standardised
+inputs, after its critic has learned alone (`--critic-steps`): advantages by an untrained critic are noise.
 """
 
 from __future__ import annotations
@@ -12,16 +15,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
+from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.learners.student import StudentConfig
-from agents.learners.taught import PatientPPO, StandardisedInputs, TaughtLearner
-from agents.policy.actor import MODULES
+from agents.learners.student import Student, StudentConfig
+from agents.policy.actor import MODULES, Actor, Standardised, pairs_of
 from agents.residual.env import ResidualVecEnv
 from agents.residual.knowledge import Knowledge
 from agents.runs.settings import RunConfig
+from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env.task.cost import MAX_COST
 
@@ -96,23 +102,16 @@ class PpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "ppo"
 
     out: Path = Path("runs/ppo")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 6_000_000
-    """Agent steps of the whole run, each of --hold samples. The learning rate falls to zero over the run."""
     learning_rate: float = 3.5e-4
-    """Learning rate at the start."""
     gamma: float = 0.988
     """Discount per agent step. 0.988 looks about 0.5 s ahead."""
     reward_scale: float = 0.036
-    """Factor on the mean reward of a hold. It brings values to order 1."""
     hidden: tuple[int, ...] = (256, 256)
-    """Widths of the hidden layers of policy and critic."""
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
     gae_lambda: float = 0.962
-    """Lambda of the advantage estimate. A lower value has less variance and more bias."""
     initial_log_std: float = -0.66
-    """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
     teacher_rounds: int = 0
     """Rounds in which the actor is first fitted to a teacher's advice, as that of `train/student.py`; with 0 it begins
     as its base. With some, options that are not given are those for a good base: little noise, small steps."""
@@ -154,10 +153,7 @@ class PpoConfig(OnPolicyConfig):
 
     @property
     def worst_reward(self) -> float:
-        """Reward floor: the cost of three holds at its bound.
-
-        An arm that leaves is charged for all samples at once, and would drown the advantages of all others.
-        """
+        """Reward floor: the cost of three holds at its bound; more would drown the advantages of all other arms."""
         return 3 * MAX_COST * self.reward_scale
 
     def make_model(self, env: ResidualVecEnv) -> PPO:
@@ -170,6 +166,80 @@ class PpoConfig(OnPolicyConfig):
         return model
 
 
+class StandardisedInputs(BaseFeaturesExtractor):
+    """Inputs of actor and critic, standardised as the actor's that is exported."""
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        inputs = observation_space.shape[0]
+        super().__init__(observation_space, inputs)
+        self.scales = Standardised(inputs)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Standardise observations of shape (n, inputs)."""
+        return self.scales.standardised(observations)
+
+
+class PatientPPO(PPO):
+    """PPO whose actor waits until its critic has learned for `critic_steps` agent steps."""
+
+    critic_steps = 0
+
+    def train(self) -> None:
+        """Update critic and, after a while, actor with the last rollout."""
+        policy: Any = self.policy
+        for part in (policy.mlp_extractor.policy_net, policy.action_net, policy.log_std):
+            part.requires_grad_(self.num_timesteps > self.critic_steps)
+        super().train()
+
+
+class TaughtLearner(ModelLearner):
+    """A student, and then a model that begins with what the student learned, as `agents.runs.training.Learner`."""
+
+    def __init__(self, config: PpoConfig) -> None:
+        super().__init__(config)
+        self.student = Student(config.student())
+
+    @property
+    def steps(self) -> int:
+        """Agent steps so far, the student's included."""
+        return self.student.steps + super().steps
+
+    @property
+    def _begun(self) -> bool:
+        """Whether PPO has taken over."""
+        return super().steps > 0
+
+    def actor(self) -> Actor:
+        """Copy of the current policy."""
+        return super().actor() if self._begun else self.student.actor()
+
+    def learn(self, monitor: TrainingMonitor) -> None:
+        """Learn to the end of the run, see `agents.runs.training.Learner.learn`."""
+        self.student.learn(monitor)
+        if not self._begun:
+            self.student.advice.clear()
+            give(self.student.actor(), self.model.policy)
+        super().learn(monitor)
+
+    def snapshot(self) -> dict[str, Any]:
+        """State that determines the next step; of the model only once it has begun."""
+        model = super().snapshot() if self._begun else None
+        return {"student": self.student.snapshot(), "model_and_arms": model}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore a snapshot into a new learner of the same options."""
+        self.student.restore(state["student"])
+        if state["model_and_arms"] is not None:
+            super().restore(state["model_and_arms"])
+
+
+def give(actor: Actor, policy: Any) -> None:
+    """Give a Stable-Baselines3 policy, with `StandardisedInputs`, the layers and scales of an actor."""
+    policy.features_extractor.scales.load_state_dict({"mean": actor.mean, "deviation": actor.deviation})
+    for own, theirs in pairs_of(actor, policy):
+        theirs.load_state_dict(own.state_dict())
+
+
 @dataclass(frozen=True)
 class RecurrentPpoConfig(OnPolicyConfig):
     """Options of `train/recurrent_ppo.py`."""
@@ -177,7 +247,6 @@ class RecurrentPpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "recurrent_ppo"
 
     out: Path = Path("runs/recurrent_ppo")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     knowledge: Knowledge = "none"
     """What the agent sees besides the observation: nothing ("none"), because the LSTM is to identify the arm, or what
     the identification believes of the arm ("belief")."""
@@ -188,11 +257,8 @@ class RecurrentPpoConfig(OnPolicyConfig):
     rollout_steps: int = 50
     """Agent steps per arm between two updates. Gradients go back through all of them; 50 are half an episode."""
     batch_size: int = 5120
-    """Agent steps in each gradient step."""
     epochs: int = 4
-    """Passes over each rollout."""
     entropy: float = 0.001
-    """Weight of the entropy bonus, which keeps exploration from dying early."""
 
     @property
     def layers(self) -> dict[str, Any]:

@@ -1,9 +1,7 @@
 """SAC, soft actor-critic, as learner, with hundreds of arms side by side: its options, defaults and model.
 
-Three things differ from what the algorithm does by default, so that a residual on a base that works stays harmless
-while nothing has been learnt: the actor's last layer begins near zero, exploration from the first step on is the
-actor's own plus noise (not uniform torques, which throw the arm out of its workspace), and gradients are clipped, for
-an arm that does leave costs as much as a hundred that do not.
+Three things differ from what the algorithm does by default, see docs/science/training.md: the actor's last layer begins
+near zero, exploration is the actor's own from the first step on, and gradients are clipped.
 """
 
 from __future__ import annotations
@@ -37,21 +35,14 @@ class SacConfig(ReinforcementConfig):
     log_interval: ClassVar[int] = 1000
 
     out: Path = Path("runs/sac")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 2_000_000
-    """Agent steps of the whole run, each of --hold samples."""
     residual_limit: float = 0.5
-    """Largest residual, as a share of the torque limit."""
     gamma: float = 0.9
     """Discount per agent step. 0.9 looks about 180 ms ahead."""
     reward_scale: float = 0.1
-    """Factor on the mean reward of a hold. It brings values to order 1."""
     validation_every: int = 250_000
-    """Agent steps between validations. Each validation saves a checkpoint."""
     learning_rate: float = 3e-4
-    """Learning rate of the optimisers."""
     hidden: tuple[int, ...] = (128, 128)
-    """Widths of the hidden layers of all networks."""
     buffer_size: int = 400_000
     """Agent steps that the replay buffer holds."""
     batch_size: int = 1024
@@ -73,10 +64,7 @@ class SacConfig(ReinforcementConfig):
 
     @property
     def worst_reward(self) -> float:
-        """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with.
-
-        The critics have to tell residuals apart whose values differ by a thousandth of the whole charge.
-        """
+        """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with."""
         return MAX_COST * self.reward_scale / (1 - self.gamma) if self.gamma < 1 else inf
 
     def check(self) -> None:
@@ -86,32 +74,30 @@ class SacConfig(ReinforcementConfig):
         require_bounds(self, noise=(0, None), tau=(0, 1), buffer_size=(max(self.arms, self.batch_size), None))
         self.positive("tau", "exploration", "initial_entropy_weight")
 
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of the Stable-Baselines3 model."""
-        return {
-            "learning_rate": self.learning_rate,
-            "buffer_size": self.buffer_size,
-            "learning_starts": self.learning_starts,
-            "batch_size": self.batch_size,
-            "tau": self.tau,
-            "gamma": self.gamma,
-            "train_freq": (1, "step"),
-            "gradient_steps": self.gradient_steps,
-            "action_noise": NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
-            "policy_kwargs": {
+    def make_model(self, env: ResidualVecEnv) -> ResidualSAC:
+        """Make an untrained model whose mean residual is near zero."""
+        model = ResidualSAC(
+            "MlpPolicy",
+            env,
+            learning_rate=self.learning_rate,
+            buffer_size=self.buffer_size,
+            learning_starts=self.learning_starts,
+            batch_size=self.batch_size,
+            tau=self.tau,
+            gamma=self.gamma,
+            train_freq=(1, "step"),
+            gradient_steps=self.gradient_steps,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
+            policy_kwargs={
                 "net_arch": list(self.hidden),
                 "activation_fn": MODULES[self.activation],
                 "optimizer_class": ClippedAdam,
             },
-            "ent_coef": f"auto_{self.initial_entropy_weight}",
-            "target_entropy": self.target_entropy,
-            "seed": self.seed,
-            "device": self.device,
-        }
-
-    def make_model(self, env: ResidualVecEnv) -> ResidualSAC:
-        """Make an untrained model whose mean residual is near zero."""
-        model = ResidualSAC("MlpPolicy", env, **self.arguments())
+            ent_coef=f"auto_{self.initial_entropy_weight}",
+            target_entropy=self.target_entropy,
+            seed=self.seed,
+            device=self.device,
+        )
         actor: Any = model.actor
         with torch.no_grad():
             actor.mu.weight.mul_(_NEAR_ZERO)

@@ -9,15 +9,8 @@ round
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
     3. the student u is fitted to the last rounds' advice, through whole episodes: min sum w H(u - y), Huber's H.
 
-This is DAgger [1] with a teacher who is asked about the student's states alone. It is also a policy gradient, as
-`agents.learners.teaching` shows: it ends where no small change of the student's torques lowers its expected cost. Why
-it works where reinforcement learning does not:
-
-- There is no exploration noise. Useful residuals on a good base are small, and the noise with which PPO looks for them
-  costs more than they gain. Here the simulation itself says what each torque did.
-- The student does not know the arm, the teacher does. Advice that rests on this knowledge cancels on average over all
-  arms that fit the student's observations. The rest is the best action without the knowledge, caution included.
-- A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
+This is DAgger [1] with a teacher who is asked about the student's states alone, and a policy gradient without
+exploration noise: docs/science/learning.md says why it works where reinforcement learning does not.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
 (`agents.policy.actor`); the learning rate falls to zero over the run.
@@ -28,13 +21,13 @@ Online Learning, AISTATS 2011.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Advice, Recorder, advise
@@ -62,9 +55,7 @@ class StudentConfig(RunConfig):
     algorithm: ClassVar[str] = "student"
 
     out: Path = Path("runs/student")
-    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     base: str = "adaptive"
-    """Controller that the agent corrects: any classical one, or "none" to learn torques from scratch."""
     learning_rate: float = 3e-3
     """Learning rate at the start. It falls to zero over the rounds."""
     hidden: tuple[int, ...] = (96,)
@@ -72,7 +63,6 @@ class StudentConfig(RunConfig):
     gru_width: int = 96
     """Width of the GRU. With 0 the student has no memory."""
     residual_limit: float = 0.5
-    """Largest residual, as a share of the torque limit."""
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
     moves: int = 4
@@ -90,7 +80,6 @@ class StudentConfig(RunConfig):
     torque_price: float = 5.0
     """Price of a torque change in the teacher's objective, as a multiple of the task's price."""
     validation_arms: int = 32
-    """Arms in each validation."""
     batch_size: int = 16
     """Episodes in each gradient step."""
     huber: float = 0.2
@@ -136,22 +125,28 @@ class Student:
         self.config = config
         self.rounds = 0
         self.advice: list[Advice] = []
-        self.pause: Callable[[int], object] = lambda _: None  # called within a round, with agent steps just made
-        self._regression = Regression(as_base(Actor(config.spec().shape())), MAX_GRADIENT)
+        self._monitor: TrainingMonitor | None = None
+        self._steps_of_round = 0
+        actor = Actor(config.spec().shape())
+        for parameter in actor.layers[-1].parameters():
+            nn.init.zeros_(parameter)  # so that it does what its base does
+        self._regression = Regression(actor, MAX_GRADIENT)
 
     @property
     def steps(self) -> int:
         """Agent steps so far."""
         return self.rounds * self.config.samples // self.config.hold
 
-    @property
-    def seed(self) -> int:
-        """First seed of this round's arms."""
-        return training_arms(self.config.seed).first + self.rounds * self.config.arms
-
     def actor(self) -> Actor:
         """Copy of the current policy."""
         return self._regression.averaged()
+
+    def pause(self, steps: int) -> None:
+        """Report agent steps just made within a round; raises Interrupted on a request to stop."""
+        self._steps_of_round += steps
+        if self._monitor is not None:
+            self._monitor.stop_if_asked(save=False)
+            self._monitor.tell(self._monitor.learner.steps + self._steps_of_round)
 
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.training.Learner.learn`.
@@ -159,10 +154,11 @@ class Student:
         Checkpoints are taken at the end of a round; an interrupted round is repeated.
         """
         monitor.begin()
+        self._monitor = monitor
         while self.rounds < self.config.rounds:
-            self.pause = Pause(monitor)
+            self._steps_of_round = 0
             recording, recorder = self.move()
-            advice = advise(recording, recorder, self.config.residual, self.config.torque_price, self.pause)
+            advice = advise(recording, recorder, self.config.residual, self.config.torque_price)
             self.advice = [*self.advice, advice][-self.config.remembered :]
             error = self.fit()
             monitor.logger.record("student/cost", float(recording.cost.mean()))
@@ -179,7 +175,8 @@ class Student:
         task = task_of(config.moves, config.sensors, config.randomization)
         if self.rounds % 2:
             task["randomization"] = RANGES[config.randomization]
-        return rollout(controller, config.arms, seed=self.seed, **task), recorder
+        first = training_arms(config.seed).first + self.rounds * config.arms
+        return rollout(controller, config.arms, seed=first, **task), recorder
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
@@ -197,13 +194,15 @@ class Student:
         """Fit the student to the advice of the last rounds.
 
         Returns:
-            Mean weighted squared error of the last pass.
+            Mean weighted squared error of the last pass; 0 without advice, where all arms have left.
 
         Raises:
             ValueError: If it is not finite.
         """
         config, network = self.config, self._regression.network
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
+        if not labels.numel():
+            return 0.0
         if self.rounds == 0:  # the average takes over what is no weight with its next step
             network.set_scales(inputs.float())
 
@@ -221,33 +220,7 @@ class Student:
                 self._regression.step((weight * losses).mean().mul(_SCALE), config.learning_rate_left(1 - share_done))
                 errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
-        mean = float(np.mean(errors[-batches:])) if errors else 0.0
+        mean = float(np.mean(errors[-batches:]))
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return mean
-
-
-def as_base(actor: Actor) -> Actor:
-    """Set an actor's last layer to zero, so that it does what its base does."""
-    with torch.no_grad():
-        for parameter in actor.layers[-1].parameters():
-            parameter.zero_()
-    return actor
-
-
-class Pause:
-    """Reports progress within a round, and interrupts it on request."""
-
-    def __init__(self, monitor: TrainingMonitor) -> None:
-        self._monitor = monitor
-        self._steps = 0
-
-    def __call__(self, steps: int) -> None:
-        """Count agent steps.
-
-        Raises:
-            Interrupted: If the run is to stop.
-        """
-        self._steps += steps
-        self._monitor.stop_if_asked(save=False)
-        self._monitor.tell(self._monitor.learner.steps + self._steps)

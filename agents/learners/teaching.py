@@ -12,19 +12,13 @@ react to the change by the problem's own feedback. Over the samples k for which 
 
     y = u + sum h[k] c[k] / sum h[k],    with weight w = sum h[k]
 
-Why the mean of this advice is what a student needs, who does not know the arm: the slope q is that of the student's own
-cost. For what a change of its torque does, a student that simulates its arm foresees, and its base reacts to it as the
-problem's feedback does; what the best later torques are does not enter q at all (the envelope theorem, which
-`tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of the
-student's torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is
-a Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
+The slope q is that of the student's own cost: what the best later torques are does not enter it (the envelope theorem,
+which `tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of
+its torques lowers its expected cost, and fitting u to y with weights w is a Gauss-Newton step towards there.
 
-Of a shift every move is advised on by itself, in the state that it begins in: what the end of a move does to the next
-one is left out, for arms come to rest in between.
-
-Where the motor sticks, torque changes nothing, and the slope is zero. A price keeps a motor at rest from being pushed
-to and fro: per sample, p_0 tau^2 of the whole torque over its limit while the motor rests, and p u^2 of the residual
-alone while it moves.
+Of a shift every move is advised on by itself, in the state that it begins in. Where the motor sticks, torque changes
+nothing. A price keeps it from being pushed to and fro: per sample, p_0 tau^2 of the whole torque over its limit while
+the motor rests, and p u^2 of the residual alone while it moves.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -61,16 +55,11 @@ class Advice(NamedTuple):
 
 
 class Recorder:
-    """Policy whose inputs and residuals are kept, one of each per hold of an episode.
-
-    Args:
-        policy: What acts.
-        pause: Called before each hold, with the number of arms.
-    """
+    """Policy whose inputs and residuals are kept, one of each per hold of an episode; `pause` is called before each."""
 
     def __init__(self, policy: Policy, pause: Callable[[int], object] = lambda _: None) -> None:
         self._policy = policy
-        self._pause = pause
+        self.pause = pause
         self.inputs: list[Singles] = []
         self.residuals: list[Singles] = []
 
@@ -78,50 +67,39 @@ class Recorder:
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Call the policy's `predict`, and keep what it sees and chooses."""
-        self._pause(len(observation))
+        self.pause(len(observation))
         residual, memory = self._policy.predict(observation, state, episode_start, deterministic)
         self.inputs.append(observation)
         self.residuals.append(residual)
         return residual, memory
 
 
-def advise(
-    recording: Recording,
-    recorder: Recorder,
-    settings: ResidualSettings,
-    price: float = 1.0,
-    pause: Callable[[int], object] = lambda _: None,
-) -> Advice:
+def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings, price: float = 1.0) -> Advice:
     """Say for every hold of every arm what a student should have done; only of arms that stayed in their workspace.
 
     Args:
         recording: Episodes under the student.
-        recorder: The student's inputs and residuals in them.
+        recorder: The student's inputs and residuals in them; its `pause` is called before each arm, with zero.
         settings: Of the student's residual.
         price: See `best_changes`.
-        pause: Called before each arm, with zero.
     """
-    hold, limit, count = settings.hold, settings.limit, recording.num_arms
-    changes, curvatures = best_changes(recording, price, pause)
-    stayed = np.flatnonzero(recording.finished[-count:])
+    hold, limit, moves = settings.hold, settings.limit, recording.num_moves
+    changes, curvatures = best_changes(recording, price, recorder.pause)
+    stayed = np.flatnonzero(recording.finished[-recording.num_arms :])
+
+    def sums(samples: Floats) -> Floats:
+        """Sums over holds, the last of a move may be shorter, of arms that stayed: shape (holds of all moves, arms)."""
+        of_holds = np.add.reduceat(samples, np.arange(0, EPISODE_STEPS, hold), axis=0)
+        return np.concatenate(np.split(of_holds, moves, axis=1))[:, stayed]
+
     residuals = np.stack(recorder.residuals)[:, :, 0].astype(np.float64)
-    penalised, prices = _penalised(recording, _by_move(residuals, recording.num_moves) * limit, hold)
-    slopes = _in_a_row(_sum_over_holds(changes * curvatures - prices * penalised, hold), count)[:, stayed]
-    weights = _in_a_row(_sum_over_holds(curvatures + prices, hold), count)[:, stayed]
+    by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
+    penalised, prices = _penalised(recording, by_move * limit, hold)
+    slopes, weights = sums(changes * curvatures - prices * penalised), sums(curvatures + prices)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(recorder.inputs)[:, stayed]).half()
     labels, weights = torch.from_numpy(best.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
     return Advice(inputs, labels, weights / weights.mean())
-
-
-def _by_move(rows: Floats, moves: int) -> Floats:
-    """What n arms had in all moves, shape (T moves, n), with columns as a `Recording`'s: shape (T, moves n)."""
-    return np.concatenate(np.split(rows, moves), axis=1)
-
-
-def _in_a_row(columns: Floats, count: int) -> Floats:
-    """What `count` arms had in moves one after another, shape (T moves, count), from columns as a `Recording`'s."""
-    return np.concatenate(np.split(columns, columns.shape[1] // count, axis=1))
 
 
 def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
@@ -132,11 +110,6 @@ def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floa
     rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
     own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
     return np.where(rests, torque, own), np.where(rests, _PRICE_AT_REST, _PRICE)
-
-
-def _sum_over_holds(samples: Floats, hold: int) -> Floats:
-    """Sums over the samples of each hold, the last of which may be shorter."""
-    return np.add.reduceat(samples, np.arange(0, len(samples), hold), axis=0)
 
 
 def best_changes(

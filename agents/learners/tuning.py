@@ -28,9 +28,8 @@ import optuna
 import tyro
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from agents.learners.registry import ALGORITHMS
+from agents.learners.registry import ALGORITHMS, SPACES, Searched
 from agents.learners.reinforcement import ReinforcementConfig
-from agents.learners.spaces import SPACES, Searched
 from agents.runs.training import News, train
 from baselines.engines.parallel import (
     Channel,

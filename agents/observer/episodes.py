@@ -13,12 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from agents.observer.network import Observer
-from agents.observer.quantities import truth
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.bases import make_base
-from agents.residual.informed import InformedBase
-from beltarm_env.arrays import Flags, Singles
-from beltarm_env.rollout import Controller, rollout
+from agents.residual.knowledge import InformedBase
+from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
+from beltarm_env import design_model
+from beltarm_env.arm import COLUMN, FIELDS, plant_of
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.physics.drive import belt_motions, built_drive
+from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import OBSERVER
 
 STUDENT = POLICIES / "student" / "seed0"
@@ -62,44 +65,59 @@ class Episodes(NamedTuple):
 class Disturbed:
     """Controller whose torque is disturbed, and that notes what an observer sees; for one rollout."""
 
-    def __init__(self, controller: Controller, observer: Observer, noise: float, seed: int) -> None:
-        self.informed = InformedBase(controller, observer.knowledge)
+    def __init__(self, source: Source, observer: Observer, seed: int, count: int) -> None:
+        self.informed = InformedBase(source.controller(), observer.knowledge)
         self.params = self.informed.params
         self.inputs: list[NDArray[np.float16]] = []
         self._observer = observer
-        self._noise = noise
         self._random = np.random.default_rng(seed)
         self._step = 0
-        self._size = self._disturbance = np.zeros((0, 1))
+        self._size = source.noise * self._random.random((count, 1))
+        self._disturbance = np.zeros((count, 1))
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Call the controller's `predict`, and disturb what it returns."""
-        count = len(observation)
-        if state is None:
-            self._size = self._noise * self._random.random((count, 1))
-            self._disturbance = np.zeros((count, 1))
         informed = self.informed.advance(observation, state, episode_start)
         if self._step % self._observer.hold == 0:
             seen = self.informed.seen(observation, informed)
             self.inputs.append(seen[:, self._observer.columns].astype(np.float16))
         self._step += 1
-        fresh = self._random.standard_normal((count, 1))
+        fresh = self._random.standard_normal((len(observation), 1))
         self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
         return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
 
 
-def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
-    """Run a source on arms of the training ranges, but for those that leave their workspace.
+def truth(recording: Recording, hold: int) -> Floats:
+    """True quantities at samples 0, hold, 2 hold, ..., shape (samples, n, quantities).
 
-    Args:
-        source: What acts.
-        observer: For its inputs.
-        first: Seed of the first arm.
-        count: Number of arms.
+    Constants are per commanded torque: a torque constant that is too high by k looks like an arm whose inertias,
+    stiffness and friction are lower by 1 + k, and nothing that is measured tells the two apart. Friction is that of the
+    episode's start, from which it drifts. Nothing is recorded at sample 0, where the arm rests: it has the next one's.
     """
-    disturbed = Disturbed(source.controller(), observer, source.noise, first)
+    rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
+    count = len(recording.params)
+    belts = np.empty((len(rows), count, 2))  # of the belts themselves, which the error of the gear moves too
+    for i, row in enumerate(recording.params):
+        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
+    constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
+    return np.concatenate([belts, recording.tip_error[rows], recording.tip_velocity_error[rows], constants], axis=2)
+
+
+def _logs(table: Floats) -> Floats:
+    """Logarithms of the identified constants over those of the model that controllers are made for, (n, constants)."""
+    nominal = nominal_row(design_model())
+    columns = [FIELDS.index(name) for name in IDENTIFIED]
+    constants = table[:, columns]
+    swing = IDENTIFIED.index("arm_inertia_swing")
+    constants[:, swing] = [plant_of(row).inertia_swing for row in table]  # with the payload
+    return np.log(constants / nominal[columns]) - np.log1p(table[:, [COLUMN.torque_constant_error]])
+
+
+def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
+    """Run a source on arms seeded from `first` on, and leave out those that leave their workspace."""
+    disturbed = Disturbed(source, observer, first, count)
     recording = rollout(disturbed, count, seed=first, randomization="train")
     stayed = np.flatnonzero(recording.finished)
     inputs, true = np.stack(disturbed.inputs)[:, stayed], truth(recording, observer.hold)[:, stayed]

@@ -4,36 +4,58 @@
     (g, s) = W [o, GRU(o)] + c
     q      = b + e g,    sigma = e exp(s)
 
-with the estimates q of `agents.observer.quantities`, their standard deviations sigma, the filter's belief b and e, the
-root mean square of what b is wrong by in training. Without a filter b is 0, and the network has the measurements alone.
-It is fitted by the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the
-errors are: an observer that does not know says so.
+with the estimates q of `QUANTITIES`, their standard deviations sigma, the filter's belief b and e, the root mean square
+of what b is wrong by in training. Without a filter b is 0, and the network has the measurements alone. It is fitted by
+the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the errors are.
+
+A file of an observer (`agents.tensor_file`) has its weights and, in the header, its settings, what it belongs to, and
+how it came about.
 
 D. Nix, A. Weigend: Estimating the Mean and Variance of the Target Probability Distribution, ICNN 1994.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import nn
 
-from agents.observer.quantities import BELIEVED, NAMES, SCALES
 from agents.policy.actor import Standardised
 from agents.policy.network import begun
+from agents.residual.bases import base_settings, settings_hash
 from agents.residual.knowledge import ENTRIES, Knowledge
+from agents.tensor_file import MAX_BYTES, packed, unpacked
+from baselines.estimation.believed_arm import IDENTIFIED
+from baselines.tools.command import this_python
+from baselines.tools.files import read_regular, write_bytes
+from baselines.tools.schema import in_a_line
 from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.observation import Entry
+from beltarm_env.observation import LAYOUT, Entry
+from beltarm_env.task.ranges import EDITION
 
+_STATES = ("torsion", "torsion_speed", "tip_error_x", "tip_error_y", "tip_speed_error_x", "tip_speed_error_y")
+_TOLD = {entry.name: entry for entry in ENTRIES["belief"]}
+QUANTITIES: tuple[Entry, ...] = tuple(_TOLD[f"believed_{name}"]._replace(name=name) for name in (*_STATES, *IDENTIFIED))
+"""All that is estimated, with units; of constants, see `baselines.estimation.believed_arm`, the logarithms over their
+nominal values."""
+NAMES = tuple(quantity.name for quantity in QUANTITIES)
+SCALES = np.array([quantity.scale for quantity in QUANTITIES])
+BELIEVED = tuple(f"believed_{name}" for name in NAMES)
+"""Entries of an agent's observation that hold a filter's estimates of them."""
+DOUBTS = {name: f"doubt_of_{name}" for name in NAMES if f"doubt_of_{name}" in _TOLD}
+"""Entries that hold the filter's standard deviations, where it states one."""
+SHIPPED = Path(__file__).resolve().parent / "shipped"
+"""Folder of the shipped observers: `belief.safetensors` corrects the filter, `none.safetensors` has none."""
 MAX_WIDTH = 128
 _SMALLEST, _LARGEST = -4.0, 2.0  # s
 
 
 class Estimate(NamedTuple):
-    """What an observer estimates, columns as `agents.observer.quantities.QUANTITIES`, in their units."""
+    """What an observer estimates, columns as `QUANTITIES`, in their units."""
 
     mean: Floats  # (n, quantities)
     deviation: Floats  # (n, quantities)
@@ -44,13 +66,8 @@ def offered(knowledge: Knowledge) -> tuple[Entry, ...]:
     return (*observation.ENTRIES["encoder"], *ENTRIES[knowledge])
 
 
-def inputs_of(knowledge: Knowledge) -> tuple[str, ...]:
-    """Names of an observer's inputs: all that an agent observes but the torque that its base is about to give."""
-    return tuple(entry.name for entry in offered(knowledge) if entry.name != "base_torque")
-
-
 class Observer(Standardised):
-    """Learned observer.
+    """Learned observer; its inputs are all that an agent observes but the torque that its base is about to give.
 
     Args:
         knowledge: "belief" to correct that of the filter, "none" to see the measurements alone.
@@ -68,13 +85,14 @@ class Observer(Standardised):
         for name, value, most in (("width", width, MAX_WIDTH), ("hold", hold, 100)):
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
                 raise ValueError(f"an observer's {name} must be a whole number from 1 to {most}, got {value!r}")
-        super().__init__(len(inputs_of(knowledge)))
+        entries = offered(knowledge)
+        columns = [k for k, entry in enumerate(entries) if entry.name != "base_torque"]
+        names = [entries[k].name for k in columns]
+        super().__init__(len(names))
         self.knowledge: Knowledge = knowledge
         self.width, self.hold = width, hold
-        names, entries = inputs_of(knowledge), offered(knowledge)
-        at = {entry.name: k for k, entry in enumerate(entries)}
+        self.columns = np.array(columns)
         self._offered = len(entries)
-        self.columns = np.array([at[name] for name in names])
         self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None
         self.register_buffer("_units", torch.as_tensor(SCALES, dtype=torch.float32), persistent=False)
         self.register_buffer("error", torch.ones(len(NAMES)))
@@ -122,3 +140,59 @@ class Observer(Standardised):
     def _answer(self, features: torch.Tensor, remembered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         g, s = self.heads(torch.cat([features, remembered], dim=-1)).chunk(2, dim=-1)
         return g, s.clamp(_SMALLEST, _LARGEST)
+
+
+def _belongs_to(observer: Observer) -> dict[str, Any]:
+    """What must be the same here for an observer to be used."""
+    return {
+        "format": "beltarm-observer",
+        "version": 1,
+        "layout": LAYOUT,
+        "edition": EDITION,
+        "entries": [list(entry) for entry in offered(observer.knowledge)],
+        "quantities": [list(quantity) for quantity in QUANTITIES],
+        "filter": settings_hash(base_settings("none", observer.knowledge)),
+    }
+
+
+def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) -> None:
+    """Write an observer.
+
+    Raises:
+        OSError: If it cannot be written; a file of before stays.
+    """
+    tensors = {name: value.numpy() for name, value in observer.state_dict().items()}
+    content = {
+        **_belongs_to(observer),
+        "knowledge": observer.knowledge,
+        "width": observer.width,
+        "hold": observer.hold,
+        "provenance": provenance,
+    }
+    data = packed("observer", content, tensors)
+    write_bytes(path, data)
+
+
+def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer, dict[str, Any]]:
+    """Read an observer, and its metadata.
+
+    Raises:
+        ValueError: If it is missing, damaged, or made for another release, observation or filter.
+    """
+    try:
+        content, arrays = unpacked(read_regular(path, MAX_BYTES), "observer")
+        observer = Observer(content["knowledge"], content["width"], content["hold"])
+    except FileNotFoundError:
+        raise ValueError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no observer of this release ({in_a_line(error)})") from None
+    for name, value in _belongs_to(observer).items():
+        if (found := content.get(name)) != value:
+            raise ValueError(f"{path} was made for another {name}, {in_a_line(repr(found), 80)}; fit it again")
+    try:
+        observer.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
+    except RuntimeError as error:
+        raise ValueError(f"{path} does not hold the weights of its observer: {in_a_line(error)}") from None
+    if not all(np.isfinite(value).all() for value in arrays.values()) or not (arrays["deviation"] > 0).all():
+        raise ValueError(f"{path}: the observer has weights that are not finite, or inputs without a scale")
+    return observer.requires_grad_(False), content

@@ -21,13 +21,13 @@ from typing import ClassVar
 import numpy as np
 import torch
 from rich.console import Console
+from safetensors.torch import load, save
 
 import agents
 import baselines
 import beltarm_env
 from agents.observer.episodes import STUDENT, Episodes, simulate_block
-from agents.observer.files import save_observer
-from agents.observer.network import Observer
+from agents.observer.network import Observer, save_observer
 from agents.policy.actor import Regression
 from agents.policy.bundle import read_spec
 from agents.residual.knowledge import Knowledge
@@ -107,24 +107,8 @@ def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Ten
     return (0.5 * ((d - g) / s.exp()).square() + s).mean()
 
 
-def standardise(observer: Observer, episodes: Episodes) -> None:
-    """Set the scales of an observer's inputs and corrections by what there is in some episodes."""
-    inputs = episodes.inputs.float()
-    observer.set_scales(inputs)
-    observer.error = (episodes.truth - observer.believed(inputs)).flatten(0, 1).square().mean(dim=0).sqrt()
-
-
-def fit(
-    observer: Observer, episodes: Episodes, epochs: int, learning_rate: float, batch_size: int
-) -> Iterator[tuple[float, float]]:
-    """Fit an observer in place, by the running average of the weights.
-
-    Args:
-        observer: Untrained, with its scales set.
-        episodes: What to fit it to.
-        epochs: Passes over them.
-        learning_rate: At first; it falls to zero.
-        batch_size: Episodes per gradient step.
+def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Iterator[tuple[float, float]]:
+    """Fit an untrained observer in place, by the running average of the weights; its scales are those of the episodes.
 
     Yields:
         Share that is done, and the loss, after every gradient step.
@@ -132,15 +116,19 @@ def fit(
     Raises:
         ValueError: If the loss is not finite.
     """
+    observer.set_scales(episodes.inputs.float())
+    errors = episodes.truth - observer.believed(episodes.inputs.float())
+    observer.error = errors.flatten(0, 1).square().mean(dim=0).sqrt()
+    del errors  # as large as all episodes
     network = copy.deepcopy(observer)
     regression = Regression(network, _MAX_GRADIENT)
     count = episodes.truth.shape[1]
-    batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
+    batches = [rows for _ in range(config.epochs) for rows in torch.randperm(count).split(config.batch_size)]
     for k, rows in enumerate(batches):
         loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
         if not np.isfinite(loss.item()):
             raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
-        regression.step(loss, learning_rate * (1 - k / len(batches)))
+        regression.step(loss, config.learning_rate * (1 - k / len(batches)))
         yield (k + 1) / len(batches), loss.item()
     observer.load_state_dict(regression.averaged().state_dict())
 
@@ -149,7 +137,7 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
     """Simulate all episodes, but for those that an interrupted run left."""
     stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
     blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
-    files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.npz" for block in blocks}
+    files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.safetensors" for block in blocks}
     missing = {block: file for block, file in files.items() if not file.exists()}
     tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
     with (
@@ -161,7 +149,7 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
             if isinstance(outcome, Failure):
                 raise outcome.error
             rows.show("episodes", done)
-    return Episodes.joined([_read(file) for file in files.values()])
+    return Episodes.joined([Episodes(**load(file.read_bytes())) for file in files.values()])
 
 
 def _depends_on() -> str:
@@ -172,13 +160,8 @@ def _depends_on() -> str:
 
 
 def _simulate(observer: Observer, first: int, count: int, file: Path, _: Channel) -> None:
-    inputs, truth = simulate_block(observer, first, count)
-    write_atomically(file, lambda path: np.savez(path, allow_pickle=False, inputs=inputs.numpy(), truth=truth.numpy()))
-
-
-def _read(file: Path) -> Episodes:
-    with np.load(file, allow_pickle=False) as stored:
-        return Episodes(torch.from_numpy(stored["inputs"]), torch.from_numpy(stored["truth"]))
+    episodes = simulate_block(observer, first, count)
+    write_atomically(file, lambda path: path.write_bytes(save(episodes._asdict())))
 
 
 def run(config: ObserverConfig) -> None:
@@ -196,9 +179,8 @@ def run(config: ObserverConfig) -> None:
         episodes = _simulated(config, observer)
         torch.set_num_threads(1)
         torch.manual_seed(config.seed)  # simulating in this process draws from it too
-        standardise(observer, episodes)
         with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
-            for share, loss in fit(observer, episodes, config.epochs, config.learning_rate, config.batch_size):
+            for share, loss in fit(observer, episodes, config):
                 rows.show("fit", share, f"loss {loss:.3f}")
     except KeyboardInterrupt:
         message = "interrupted; simulated episodes are kept, and the same command continues with them"

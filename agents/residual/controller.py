@@ -14,8 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.residual.informed import InformedBase, InformedMemory
-from agents.residual.knowledge import KNOWLEDGE, Knowledge, cut
+from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
 from baselines.guard.controller import GuardedController, Torques
 from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning, chosen
@@ -44,8 +43,8 @@ class ResidualSettings:
         whole = isinstance(self.hold, int) and not isinstance(self.hold, bool)
         if not (whole and 1 <= self.hold <= 100):
             raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
-        if self.knowledge not in KNOWLEDGE:
-            raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {self.knowledge!r}")
+        if self.knowledge not in ENTRIES:
+            raise ValueError(f"knowledge must be one of {', '.join(ENTRIES)}, got {self.knowledge!r}")
 
 
 @inlined

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -10,15 +9,13 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual.controller import ResidualSettings, checked_residual, combine
-from agents.residual.informed import InformedBase, InformedMemory
-from agents.residual.knowledge import residual_observation_space
+from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
-from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, check_data_sheet
 
 
@@ -100,7 +97,6 @@ class ResidualVecEnv(VecEnv):
         self.torque_price = torque_price
         self.worst_reward = worst_reward
         self.stagger = stagger
-        self.render_mode = env.render_mode
         self._memory: InformedMemory | None = None
         self._residual = np.zeros((env.num_envs, 1), np.float32)
         space = residual_observation_space(env.sensors, settings.knowledge)
@@ -155,21 +151,31 @@ class ResidualVecEnv(VecEnv):
         """Hold the residuals for `hold` samples."""
         rewards = np.zeros(self.num_envs)
         done = np.zeros(self.num_envs, np.bool_)
-        infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
+        infos: list[dict[str, Any]] = [{}] * self.num_envs  # one for all: one per arm and step would cost more
         residual, observation = self._residual, np.empty(0, np.float32)
         assert self._memory is not None, "Stable-Baselines3 resets before it steps"
         for _ in range(self.settings.hold):
             observation, reward, terminated, truncated, info = self.env.step(
                 combine(self._memory.action, residual, self.settings.limit)
             )
-            ended = terminated | truncated
-            reward = reward - (self.torque_price - 1.0) * _torque_charge(info, ended)
+            ended, charge = terminated | truncated, info["cost_torque_rate"]
+            if ended.any():
+                charge = np.where(ended, info["final_info"]["cost_torque_rate"], charge)
+            reward = reward - (self.torque_price - 1.0) * charge
             rewards += reward if not done.any() else np.where(done, 0.0, reward)
             if ended.any():
                 last = observation.copy()
                 last[ended] = np.stack(info["final_obs"][ended])
-                final, self._memory = self.informed.ended(last, observation, self._memory, ended)
-                self._report(infos, self.informed.seen(last, final), ended & ~done, truncated & ~terminated, info)
+                final = self.informed.advance(last, self._memory, None)
+                self._memory = self.informed.advance(observation, self._memory, ended, final.belief)
+                seen, summary = self.informed.seen(last, final), info["final_info"]
+                for arm in np.flatnonzero(ended & ~done):
+                    cost, steps = float(summary["total_cost"][arm]), int(summary["episode_steps"][arm])
+                    infos[arm] = {
+                        "terminal_observation": seen[arm],
+                        "TimeLimit.truncated": bool(truncated[arm] and not terminated[arm]),
+                        "episode": {"r": -cost, "l": steps, "t": 0.0},
+                    }
                 done |= ended
                 residual = np.where(done[:, None], np.float32(0), residual)
             else:
@@ -177,24 +183,6 @@ class ResidualVecEnv(VecEnv):
         seen = self.informed.seen(observation, self._memory)
         scaled = np.maximum(self.reward_scale * rewards, -self.worst_reward)
         return seen, scaled.astype(np.float32), done, infos
-
-    def _report(
-        self,
-        infos: list[dict[str, Any]],
-        terminal: Singles,
-        ended: Flags,
-        cut: Flags,
-        info: dict[str, Any],
-    ) -> None:
-        """Info of the arms whose episode ended: last observation and episode summary."""
-        arms = np.flatnonzero(ended)
-        totals = info["final_info"]["total_cost"]
-        for arm in arms:
-            infos[arm] = {
-                "terminal_observation": terminal[arm],
-                "TimeLimit.truncated": bool(cut[arm]),
-                "episode": {"r": -float(totals[arm]), "l": int(info["final_info"]["episode_steps"][arm]), "t": 0.0},
-            }
 
     def close(self) -> None:
         """Close the arms."""
@@ -216,16 +204,3 @@ class ResidualVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
         """Return False for every arm asked for: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw all arms."""
-        return list(self.env.render() or ())
-
-
-def _torque_charge(info: dict[str, Any], ended: Flags) -> Floats:
-    """What the task charged for the last change of the torque, shape (n,)."""
-    charge = info["cost_torque_rate"]
-    return np.where(ended, info["final_info"]["cost_torque_rate"], charge) if ended.any() else charge
-
-
-_NOTHING: dict[str, Any] = {}  # shared by all arms with nothing to tell: one dict per arm and step would cost more

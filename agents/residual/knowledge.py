@@ -3,11 +3,9 @@
 An encoder does not show payload, stiffness and friction, nor, while the motor sticks, the vibration. A network of a few
 thousand weights does not infer them from a history of counts, so it gets the estimates of an extended Kalman filter
 (`baselines.estimation.identification`): the state of the arm, the tip's errors in that state, the constants of arm and
-drive, and how much of all that is in doubt. The filter sees the observation and nothing else, as the agent does.
-
-Torque ripple is left out, which the filter finds and the base compensates. What the filter could not explain of the
-last samples, and what was commanded in them, stands beside the belief: where its model of arm or noise is wrong, an
-agent with a memory can know better.
+drive, and how much of all that is in doubt. Torque ripple is left out, which the base compensates. What the filter
+could not explain of the last samples, and what was commanded in them, stands beside the belief: where its model is
+wrong, an agent with a memory can know better.
 
 Errors are scaled to order 1 at the precision wanted, not at the size that the base leaves: an input of order 0.01 is
 learned late or never.
@@ -16,22 +14,27 @@ learned late or never.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS
-from baselines.estimation.identification import Belief
-from baselines.reading import Sample
+from baselines.estimation.identification import Belief, IdentifyingController
+from baselines.estimation.identify import Notes
+from baselines.optimal.adaptive import tuned_identifier
+from baselines.reading import Reading, Sample, beginning, read, sample_of
+from beltarm_env import ArmParams, design_model
 from beltarm_env import observation as layout
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Floats, Singles
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState
+from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params
 
 Knowledge = Literal["belief", "none"]
 
@@ -75,7 +78,6 @@ ENTRIES: dict[Knowledge, tuple[Entry, ...]] = {
     "none": (_BASE_TORQUE,),
 }
 """Entries appended to the observation, in order; scaled and bounded as the observation's own."""
-KNOWLEDGE: tuple[Knowledge, ...] = ("belief", "none")
 _BASE_AT, _STATE_AT, _TIP_AT, _CONSTANTS_AT, _DOUBTS_AT, _SURPRISE_AT, _UNEXPLAINED_AT, _COMMANDS_AT = accumulate(
     map(len, _PARTS[:-1]), initial=0
 )
@@ -88,28 +90,12 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
-class Filters(NamedTuple):
-    """Part of a `Belief` about m arms that the agent observes."""
-
-    mean: Floats  # of z, shape (m, SIZE)
-    covariance: Floats  # shape (m, SIZE, SIZE)
-    surprise: Floats  # shape (m,)
-    angle: Floats  # last measured [rad], shape (m,)
-    commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
-
-
 class ExtraEntries(NamedTuple):
     """Constants of `write_torque` and `write_belief`."""
 
     plant: Plant  # whose lengths the tip's errors follow from, and whose limit commands are scaled by
     scales: Floats  # of the entries
     bounds: Floats  # likewise
-
-
-def filters_of(belief: Belief) -> Filters:
-    """Pick what the agent observes."""
-    tracks = belief.tracks
-    return Filters(tracks.mean, tracks.covariance, tracks.surprise, belief.angle, belief.commands)
 
 
 @inlined
@@ -132,20 +118,10 @@ def write_torque(entries: ExtraEntries, action: float, extra: Singles) -> None:
 
 
 @compiled
-def write_belief(
-    entries: ExtraEntries, now: Sample, filters: Filters, i: int, unexplained: Floats, extra: Singles
-) -> None:
-    """Write the entries of a belief, see `ENTRIES`.
-
-    Args:
-        entries: Constants.
-        now: What is measured.
-        filters: At this sample.
-        i: Which of them is this arm's.
-        unexplained: From `push_unexplained`, shape (RECENT,).
-        extra: Written, shape (entries,).
-    """
-    z, plant = filters.mean[i], entries.plant
+def write_belief(entries: ExtraEntries, now: Sample, notes: Notes, i: int, unexplained: Floats, extra: Singles) -> None:
+    """Write the entries of the belief about arm i, see `ENTRIES`; `unexplained` is that of `push_unexplained`."""
+    tracks, plant = notes.tracks, entries.plant
+    z = tracks.mean[i]
     x = ArmState(z[0], z[1], z[2], z[3])
     error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
     for k in range(_TIP_AT - _STATE_AT):
@@ -157,18 +133,118 @@ def write_belief(
     for k in range(_DOUBTS_AT - _CONSTANTS_AT):
         _write(extra, _CONSTANTS_AT + k, z[_IDENTIFIED + k], entries)
     for k in range(_SURPRISE_AT - _DOUBTS_AT):
-        variance = filters.covariance[i, _DOUBTED + k, _DOUBTED + k]
+        variance = tracks.covariance[i, _DOUBTED + k, _DOUBTED + k]
         _write(extra, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), entries)
-    _write(extra, _SURPRISE_AT, filters.surprise[i], entries)
+    _write(extra, _SURPRISE_AT, tracks.surprise[i], entries)
     for k in range(RECENT):
         _write(extra, _UNEXPLAINED_AT + k, unexplained[k], entries)
     for k in range(RECENT - 1):
-        _write(extra, _COMMANDS_AT + k, filters.commands[i, 1 + k] / plant.torque_limit, entries)
+        _write(extra, _COMMANDS_AT + k, notes.commands[i, 1 + k] / plant.torque_limit, entries)
 
 
 @inlined
-def push_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats) -> None:
+def push_unexplained(notes: Notes, i: int, begins: bool, unexplained: Floats) -> None:
     """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
     for k in range(RECENT - 1, 0, -1):
         unexplained[k] = 0.0 if begins else unexplained[k - 1]
-    unexplained[0] = filters.angle[i] - filters.mean[i, 0]
+    unexplained[0] = notes.angle[i] - notes.tracks.mean[i, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class InformedMemory:
+    """Memory of an `InformedBase`, up to date with one sample."""
+
+    base: Any  # the base controller's own
+    action: Singles  # of the base, shape (n, 1)
+    reading: Reading | None  # the decoded observation; None without knowledge
+    belief: Belief | None  # about the arms; None without knowledge
+    unexplained: Floats | None  # measured less believed angles of the last samples, latest first [rad], (n, RECENT)
+
+
+class InformedBase:
+    """Base controller with the identification whose belief the agent observes.
+
+    Args:
+        base: The base controller. One that identifies its arm shares its belief.
+        knowledge: "belief" for the identified arm, "none" for the base's torque alone.
+
+    Attributes:
+        params: Arm that base and identification are made for, see `Controller`; None if they take any.
+        remembers: Whether the base's memory, and so the belief, lasts from move to move.
+        identifier: Identification beside the base; None if the base shares its belief, or there is no knowledge.
+    """
+
+    def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
+        self.base: Any = base
+        self.knowledge: Knowledge = knowledge
+        self.remembers = bool(getattr(base, "remembers", False))
+        self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
+        arm = self.params or ArmParams()
+        self._design = replace(design_model(), **{name: getattr(arm, name) for name in DATA_SHEET})
+        alone = knowledge == "belief" and not isinstance(base, IdentifyingController)
+        self.identifier = tuned_identifier(self._design) if alone else None
+        self.entries = ExtraEntries(
+            plant=arm.plant(),
+            scales=np.array([entry.scale for entry in ENTRIES[knowledge]]),
+            bounds=np.array([entry.bound for entry in ENTRIES[knowledge]]),
+        )
+
+    def advance(
+        self,
+        observation: Singles,
+        memory: InformedMemory | None,
+        start: Flags | None,
+        known: Belief | None = None,
+    ) -> InformedMemory:
+        """Run base and identification for one sample.
+
+        Args:
+            observation: Shape (n, size).
+            memory: Of the sample before; None at the beginning.
+            start: Which arms begin an episode, shape (n,); None for none.
+            known: Belief about all other arms at this sample, where it has been computed already.
+        """
+        action, base = self.base.predict(observation, memory.base if memory else None, start)
+        if self.knowledge == "none":
+            return InformedMemory(base, action, None, None, None)
+        reading, begins = read(observation, self._design), beginning(memory, start, observation, self.remembers)
+        if self.identifier is None:
+            belief = self.base.belief(base)
+        elif known is not None and start is not None:
+            belief = self.identifier.reset(known, reading, start)
+        else:
+            belief = self.identifier.update(memory.belief if memory else None, reading, begins)
+        before = memory.unexplained if memory else None
+        unexplained = np.zeros((len(begins), RECENT)) if before is None else before.copy()
+        _push_all(belief.notes, begins, unexplained)
+        return InformedMemory(base, action, reading, belief, unexplained)
+
+    def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
+        """Observation of the agent, shape (n, size + entries), at the sample that `memory` has advanced to."""
+        count, size = observation.shape
+        result = np.empty((count, size + len(ENTRIES[self.knowledge])), np.float32)
+        result[:, :size] = observation
+        notes = None if memory.belief is None else memory.belief.notes
+        _write_extra(self.entries, memory.action, memory.reading, notes, memory.unexplained, result[:, size:])
+        return result
+
+
+@compiled
+def _push_all(notes: Notes, begins: Flags, unexplained: Floats) -> None:
+    for i in range(len(begins)):
+        push_unexplained(notes, i, begins[i], unexplained[i])
+
+
+@compiled
+def _write_extra(
+    entries: ExtraEntries,
+    actions: Singles,
+    reading: Reading | None,
+    notes: Notes | None,
+    unexplained: Floats | None,
+    extra: Singles,
+) -> None:
+    for i in range(len(extra)):
+        write_torque(entries, actions[i, 0], extra[i])
+        if reading is not None and notes is not None and unexplained is not None:
+            write_belief(entries, sample_of(reading, i), notes, i, unexplained[i], extra[i])

@@ -20,7 +20,7 @@ import numpy as np
 
 from agents.policy.correction import correct
 from agents.residual.controller import combined
-from agents.residual.knowledge import Filters, cut
+from agents.residual.knowledge import cut
 from baselines.estimation.filter_design import write_inputs
 from baselines.estimation.identify import identify
 from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
@@ -170,17 +170,15 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     def propose(design: Learned, limit: float, device: Device, now: Sample, begins: bool, memory: Learned) -> Proposal:
         torque = law(design.base, now, begins, memory.base)
         base: Any = np.float32(cut(torque / limit, 1.0))
-        filters, surprise = None, 1.0
+        notes, surprise = None, 1.0
         if informed:
             if not shared:
                 write_inputs(now, begins, memory.filter.inputs)
                 identify(design.filter, memory.filter.inputs, memory.filter.notes, memory.filter.work)
-            known = memory.base.notes if shared else memory.filter.notes
-            tracks = known.tracks
-            filters = Filters(tracks.mean, tracks.covariance, tracks.surprise, known.angle, known.commands)
-            surprise = tracks.surprise[0]
+            notes = memory.base.notes if shared else memory.filter.notes
+            surprise = notes.tracks.surprise[0]
         seen = device.observation[0]
-        residual = correct(design.correction, seen, base, now, filters, begins, memory.correction)
+        residual = correct(design.correction, seen, base, now, notes, begins, memory.correction)
         share = design.correction.limit
         return Proposal(base, share * residual, combined(base, residual, share), surprise)
 

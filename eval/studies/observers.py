@@ -11,12 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.observer.episodes import Source
-from agents.observer.files import SHIPPED, load_observer
-from agents.observer.network import Estimate, Observer, offered
-from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, QUANTITIES, SCALES, truth
-from agents.residual.informed import InformedBase
-from agents.residual.knowledge import Knowledge
+from agents.observer import network
+from agents.observer.episodes import Source, truth
+from agents.observer.network import BELIEVED, NAMES, SCALES, Estimate, Observer
+from agents.residual.knowledge import InformedBase, Knowledge
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, rollout
@@ -54,10 +52,10 @@ class FilterAlone:
     hold = HOLD
 
     def __init__(self) -> None:
-        entries = offered("belief")
+        entries = network.offered("belief")
         at = {entry.name: k for k, entry in enumerate(entries)}
         self._believed = [at[name] for name in BELIEVED]
-        self._doubts = [(k, at[DOUBTS[name]]) for k, name in enumerate(NAMES) if name in DOUBTS]
+        self._doubts = [(k, at[network.DOUBTS[name]]) for k, name in enumerate(NAMES) if name in network.DOUBTS]
         self._doubt_units = np.array([entries[k].scale for _, k in self._doubts])
 
     def observe(self, seen: Singles, memory: Any = None, episode_start: Flags | None = None) -> tuple[Estimate, None]:
@@ -96,7 +94,7 @@ def measure(options: Options) -> dict[str, Any]:
         "acting": ACTING,
         "watchers": list(known),
         "hold": HOLD,
-        "quantities": [{"name": quantity.name, "unit": quantity.unit} for quantity in QUANTITIES],
+        "quantities": [{"name": quantity.name, "unit": quantity.unit} for quantity in network.QUANTITIES],
         "sizes": [
             {
                 "observer": name,
@@ -113,7 +111,9 @@ def measure(options: Options) -> dict[str, Any]:
 
 def watchers() -> dict[str, Watcher]:
     """All watchers by name: the filter, and the shipped observers without and with it."""
-    alone, corrected = (load_observer(SHIPPED / f"{name}.safetensors")[0] for name in ("none", "belief"))
+    alone, corrected = (
+        network.load_observer(network.SHIPPED / f"{name}.safetensors")[0] for name in ("none", "belief")
+    )
     return {"filter": FilterAlone(), "learned alone": alone, "learned on the filter": corrected}
 
 
@@ -146,7 +146,7 @@ class _Watched:
         seen = self.informed.seen(observation, informed)
         for name, watcher in self._known.items():
             if self._step % watcher.hold == 0:
-                entries = seen[:, : len(offered(watcher.knowledge))]  # the belief comes last
+                entries = seen[:, : len(network.offered(watcher.knowledge))]  # the belief comes last
                 estimate, self._memories[name] = watcher.observe(entries, self._memories[name])
                 if self._step % HOLD == 0:
                     self.estimates[name].append(estimate)

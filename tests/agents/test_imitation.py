@@ -18,9 +18,8 @@ from trainings import StopAfter, run, same_policies, tiny
 
 import agents.learners.student
 from agents.learners import teaching
-from agents.learners.ppo import TAUGHT, PpoConfig
+from agents.learners.ppo import TAUGHT, PpoConfig, TaughtLearner
 from agents.learners.student import Student, StudentConfig
-from agents.learners.taught import TaughtLearner
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
@@ -161,6 +160,12 @@ def test_a_memory_tells_apart_what_looks_the_same(width: int, remembers: bool):
     late = actor(inputs)[-1, :, 0].detach().numpy()
     torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), actor(inputs), rtol=0, atol=1e-5)
     assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
+
+
+def test_rounds_whose_arms_all_left_teach_nothing():
+    learner = Student(tiny("student", Path("unused")))
+    learner.advice = [Advice(torch.zeros(30, 0, 27).half(), torch.zeros(30, 0), torch.zeros(30, 0))]
+    assert learner.fit() == 0.0 and torch.isfinite(learner.actor().mean).all()
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,8 @@ from refusals import refused
 from trainings import NAMES, StopAfter, run, tiny
 
 from agents.learners import tuning
-from agents.learners.registry import ALGORITHMS
+from agents.learners.registry import ALGORITHMS, SPACES
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, begin, counted, open_study, run_trials, training_command, tune
 from agents.policy.actor import actor_of
 from agents.policy.network import NetworkPolicy

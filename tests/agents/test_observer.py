@@ -12,14 +12,12 @@ import pytest
 import torch
 from refusals import refused
 
-from agents.observer import files
+from agents.observer import network
 from agents.observer import run as running
-from agents.observer.episodes import Episodes
-from agents.observer.files import ObserverError, load_observer, save_observer
-from agents.observer.network import MAX_WIDTH, Observer, offered
-from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
-from agents.observer.run import ObserverConfig, fit, standardise
-from agents.residual.informed import InformedBase
+from agents.observer.episodes import Episodes, truth
+from agents.observer.network import BELIEVED, MAX_WIDTH, NAMES, SCALES, Observer, load_observer, offered, save_observer
+from agents.observer.run import ObserverConfig, fit
+from agents.residual.knowledge import InformedBase
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
@@ -107,8 +105,7 @@ def made_up(count: int, seed: int = 0) -> Episodes:
 def test_a_fit_finds_what_can_be_known_and_says_how_well():
     torch.manual_seed(0)
     observer, episodes = Observer(width=8), made_up(256)
-    standardise(observer, episodes)
-    losses = [loss for _, loss in fit(observer, episodes, epochs=20, learning_rate=1e-2, batch_size=32)]
+    losses = [loss for _, loss in fit(observer, episodes, ObserverConfig(epochs=20, learning_rate=1e-2))]
     assert losses[-1] < losses[0] - 0.5
     fresh = made_up(64, seed=1)
     inputs = fresh.inputs.float()
@@ -135,28 +132,25 @@ class TestFiles:
     def test_missing_foreign_and_damaged_files_are_refused(self, tmp_path: Path):
         """As those of policies are, in `test_bundles.py`."""
         path = tmp_path / "a.safetensors"
-        refused(ObserverError, (path.name, "train/observer.py"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "train/observer.py"), lambda: load_observer(path))
         save_observer(path, Observer(width=4), {})
         path.write_bytes(path.read_bytes()[:-1] + b"\xff")
-        refused(ObserverError, (path.name, "damaged"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "damaged"), lambda: load_observer(path))
         path.write_bytes(b"something else")
-        refused(ObserverError, (path.name, "no observer of this release"), lambda: load_observer(path))
+        refused(ValueError, (path.name, "no observer of this release"), lambda: load_observer(path))
 
     def test_unsound_weights_and_those_for_another_arm_observation_or_filter_are_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
-        path, observer, now = tmp_path / "a.safetensors", Observer(width=4), files._belongs_to
+        path, observer, now = tmp_path / "a.safetensors", Observer(width=4), network._belongs_to
         for name in ("edition", "entries", "filter"):
             with monkeypatch.context() as patch:
-                patch.setattr(files, "_belongs_to", lambda observer, name=name: {**now(observer), name: 0})
+                patch.setattr(network, "_belongs_to", lambda observer, name=name: {**now(observer), name: 0})
                 save_observer(path, observer, {})
-            refused(ObserverError, (name, "fit it again"), lambda: load_observer(path))
+            refused(ValueError, (name, "fit it again"), lambda: load_observer(path))
         observer.deviation[0] = 0
-        refused(ObserverError, ("without a scale",), lambda: save_observer(path, observer, {}))
-        with monkeypatch.context() as patch:
-            patch.setattr(files, "_require_sound", lambda *_: None)
-            save_observer(path, observer, {})
-        refused(ObserverError, ("without a scale",), lambda: load_observer(path))
+        save_observer(path, observer, {})
+        refused(ValueError, ("without a scale",), lambda: load_observer(path))
 
 
 class TestRun:
@@ -169,7 +163,7 @@ class TestRun:
         with monkeypatch.context() as patch:
             patch.setattr(running, "fit", Mock(side_effect=KeyboardInterrupt))
             refused(KeyboardInterrupt, ("the same command continues",), lambda: running.run(config))
-        assert len(list(tmp_path.glob(".o-episodes/*.npz"))) == 1 and not config.file.exists()
+        assert len(list(tmp_path.glob(".o-episodes/*.safetensors"))) == 1 and not config.file.exists()
         monkeypatch.setattr(running, "simulate_block", None)
         running.run(config)
         assert [path.name for path in tmp_path.iterdir()] == ["o.safetensors"]

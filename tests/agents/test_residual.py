@@ -19,8 +19,7 @@ from agents.policy.bundle import BundleSpec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualEnv, ResidualVecEnv
-from agents.residual.informed import InformedBase
-from agents.residual.knowledge import ENTRIES, residual_observation_space
+from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read

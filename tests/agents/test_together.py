@@ -14,7 +14,6 @@ from agents.policy.correction import correct, correction
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combined
-from agents.residual.knowledge import filters_of
 from baselines import CONTROLLERS
 from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
@@ -109,8 +108,8 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         assert memory.informed is not None
         base, reading = memory.informed.action[0, 0], memory.informed.reading
         now = NOTHING if reading is None else sample_of(reading, 0)
-        filters = None if memory.informed.belief is None else filters_of(memory.informed.belief)
-        residual = correct(kernel.design, seen[0], base, now, filters, begins, kernel.memory)
+        notes = None if memory.informed.belief is None else memory.informed.belief.notes
+        residual = correct(kernel.design, seen[0], base, now, notes, begins, kernel.memory)
         assert residual == memory.residual[0, 0]
         assert combined(base, residual, kernel.design.limit) == action[0, 0]
         residuals.append(residual)

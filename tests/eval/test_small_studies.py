@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.observer.network import Estimate
-from agents.observer.quantities import NAMES
+from agents.observer.network import NAMES, Estimate
 from baselines import PaperController
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS

@@ -13,7 +13,7 @@ from agents.policy.bundle import POLICY_FILE
 from agents.policy.description import BundleSpec
 from agents.policy.weights import Weights
 from agents.residual.controller import ResidualSettings
-from agents.tensor_file import digest_of, read_packed
+from agents.tensor_file import digest_of, unpacked
 
 SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
 
@@ -27,7 +27,7 @@ def new_weights(spec: BundleSpec = SPEC, seed: int | None = None) -> Weights:
 
 def edit(bundle: Path, tensors: dict[str, np.ndarray] | None = None, *, rehash: bool = True, **changes: Any) -> None:
     """Change a policy, with a fitting hash (a foreign program's) or without (a hand's); `...` takes an entry away."""
-    content, known = read_packed(bundle / POLICY_FILE, "policy")
+    content, known = unpacked((bundle / POLICY_FILE).read_bytes(), "policy")
     content = {name: value for name, value in {**content, **changes}.items() if value is not ...}
     tensors = known if tensors is None else tensors
     if rehash:

@@ -20,7 +20,7 @@ from agents import tensor_file
 from agents.learners.ppo import PpoConfig
 from agents.policy.bundle import POLICY_FILE, read_bundle, save_bundle
 from agents.runs.checkpoint import RunFolder
-from agents.tensor_file import read_packed
+from agents.tensor_file import unpacked
 from baselines.tools.files import sealed
 from eval.comparison.schema import read_results
 from tests.stress import damage
@@ -58,7 +58,8 @@ def _policy(folder: Path) -> Reader:
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
     save_bundle(folder, replace(SPEC, provenance=origin), new_weights())
     path = folder / POLICY_FILE
-    data, (content, tensors) = path.read_bytes(), read_packed(path, "policy")
+    data = path.read_bytes()
+    content, tensors = unpacked(data, "policy")
 
     def damaged(rng: Random) -> Damaged:
         if rng.random() < 0.5:
