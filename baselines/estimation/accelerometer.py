@@ -48,7 +48,7 @@ def unfiltered(now: Floats, before: Floats) -> tuple[Floats, Floats]:
         before: Those of a sample before.
 
     Returns:
-        m[k] [m/s^2] and the variances of its noise, both of shape (AXES, n); one that is cut off tells nothing.
+        m[k] [m/s^2] and the variances of its noise, both of shape (n, AXES); one that is cut off tells nothing.
     """
     cut = np.maximum(np.abs(now), np.abs(before)) > _CUT
-    return ((now - DECAY * before) / (1 - DECAY)).T, np.where(cut, 1e6, SPREAD**2).T
+    return (now - DECAY * before) / (1 - DECAY), np.where(cut, 1e6, SPREAD**2)

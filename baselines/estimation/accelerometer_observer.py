@@ -149,8 +149,8 @@ class AccelerometerObserver(StickSlipObserver):
         assert reading.acceleration is not None
         rests = (predicted[:, 1] == 0) & (np.abs(reading.motor_angle - predicted[:, 0]) <= SLIDES)
         readings, variance = unfiltered(reading.acceleration, estimate.acceleration)
-        acceleration = readings.T - estimate.bias - mean_accelerations(estimate.state, predicted[:, :X], self._plant)
-        acceleration[variance.T > SPREAD**2] = 0.0
+        acceleration = readings - estimate.bias - mean_accelerations(estimate.state, predicted[:, :X], self._plant)
+        acceleration[variance > SPREAD**2] = 0.0
         innovation = np.column_stack([reading.motor_angle - predicted[:, 0], acceleration])
         angle = predicted[:, 0] / self.params.gear_ratio
         place = np.interp(np.abs(predicted[:, 1]), _SPEEDS, np.arange(len(_SPEEDS)))

@@ -52,7 +52,7 @@ def simulate(
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
         commands: Of the past [N m], latest first, shape (arms, HISTORY).
-        deflections: Of the motors, see `Notes`, shape (arms,); changed to those after the period.
+        deflections: Of the motors, see `Belief`, shape (arms,); changed to those after the period.
         room: Changed; holds the shapes of the arms' ripple then.
         result: x after the period, written: that of z, and then those of the copies, shape (arms or more, 4,
             1 + DIFFERENCED). With an accelerometer, its readings over the period stand below x, and there are more

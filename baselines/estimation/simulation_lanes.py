@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import (
-    ARMS,
     DELAY,
     DIFFERENCED,
     DISTURBANCE,
@@ -143,7 +142,7 @@ def load(beliefs: Floats, nominal: Floats, deflections: Floats, room: Simulation
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
-        deflections: Of their motors, see `Notes`, shape (arms,).
+        deflections: Of their motors, see `Belief`, shape (arms,).
         room: Changed.
     """
     arms = len(beliefs)
@@ -207,23 +206,6 @@ def load_copy(
     load_torques(block, arms, z, ripple, actions)
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] = beliefs[lane, entry]
-
-
-@compiled
-def write_believed(beliefs: Floats, nominal: Floats, room: Simulation, table: Floats) -> None:
-    """Write the constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)).
-
-    Args:
-        beliefs: z of the arms, shape (m, SIZE or ACCELEROMETER_SIZE).
-        nominal: From `nominal_row`.
-        room: Changed.
-        table: Written.
-    """
-    for low in range(0, len(table), ARMS):
-        some = beliefs[low : low + ARMS]
-        take(some, room.z)
-        believe(room.z, len(some), nominal, room.constants)
-        write_table(room.constants, table[low : low + ARMS])
 
 
 @compiled

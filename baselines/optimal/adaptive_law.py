@@ -13,11 +13,11 @@ import numpy as np
 
 from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
 from baselines.estimation.filter_design import Design, Inputs, Room, empty_inputs, room_for, write_inputs
-from baselines.estimation.identify import (
+from baselines.estimation.identification import (
+    Belief,
     Estimate,
-    Notes,
+    empty_belief,
     empty_estimate,
-    empty_notes,
     estimate,
     identify,
 )
@@ -112,7 +112,7 @@ class AdaptiveDesign(NamedTuple):
 class ArmMemory(NamedTuple):
     """Memory of the law for one arm."""
 
-    notes: Notes  # what is known of it
+    notes: Belief  # what is known of it
     logs: Floats  # `Estimate.logs` that the plan was made for, shape (6,)
     plan: Floats  # shape (1200, 10)
     to_go: CostToGo  # of the plan that is being made anew
@@ -128,7 +128,7 @@ def arm_memory() -> ArmMemory:
     """Memory for one arm."""
     found, logs = empty_estimate(1), np.zeros(LOGS.stop - LOGS.start)
     return ArmMemory(
-        empty_notes(1, SIZE),
+        empty_belief(1, SIZE),
         logs,
         np.zeros((EPISODE_STEPS, PLAN_COLUMNS)),
         no_cost(5),

@@ -22,6 +22,7 @@ from agents.residual.env import ResidualEnv, ResidualVecEnv
 from agents.residual.informed import InformedBase
 from agents.residual.knowledge import ENTRIES, residual_observation_space
 from baselines import CONTROLLERS
+from baselines.estimation.believed_arm import DELAY
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
@@ -176,8 +177,11 @@ def test_what_the_agent_observes():
         if sample % SETTINGS.hold == 0:
             expected = {
                 **{"base_torque": action[:, 0], "believed_torsion": belief.state[:, 2]},
-                **{"believed_belt_stiffness": belief.logs[:, 1], "believed_delay": belief.delay},
-                **{"doubt_of_belt_stiffness": np.sqrt(belief.variance[:, 5]), "surprise": belief.tracks.surprise},
+                **{"believed_belt_stiffness": belief.tracks.mean[:, 5], "believed_delay": belief.tracks.mean[:, DELAY]},
+                **{
+                    "doubt_of_belt_stiffness": np.sqrt(belief.tracks.covariance[:, 5, 5]),
+                    "surprise": belief.tracks.surprise,
+                },
                 "unexplained_angle_0": unexplained[-1],
             }
             if sample > 0:
