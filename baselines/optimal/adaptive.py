@@ -35,7 +35,7 @@ from baselines.optimal.adaptive_law import (
     write_compensations,
     write_motor_torques,
 )
-from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
+from baselines.planning.plan import GAIN, Weights, planned, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -120,7 +120,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
-        self._cost, self._compensation = plan_cost(self._weights), self.gains.compensation()
+        self._compensation = self.gains.compensation()
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
 
@@ -148,7 +148,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         if not 1 <= plan_samples < EVERY:
             raise ValueError(f"a plan may be spread over 1 to {EVERY - 1} samples, got {plan_samples!r}")
         rows = -(-EPISODE_STEPS // plan_samples)
-        knows = self._identifier.design, self._cost, self._compensation, self._improvements
+        knows = self._identifier.design, self._weights, self._compensation, self._improvements
         return LawKernel(law, AdaptiveDesign(*knows, rows), arm_memory())
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:

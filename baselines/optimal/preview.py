@@ -26,11 +26,9 @@ from baselines.models.ramps import move_of
 from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObserverController, ObserverMemory
 from baselines.planning.plan import (
     PLAN_COLUMNS,
-    PlanCost,
     Plans,
     Weights,
-    plan_cost,
-    plan_rows,
+    plan_move,
     replaced,
     rows_at,
     step_of_plan,
@@ -38,7 +36,6 @@ from baselines.planning.plan import (
 )
 from baselines.reading import Reading, Sample
 from beltarm_env import EPISODE_STEPS, ArmParams
-from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
@@ -78,9 +75,8 @@ class PreviewDesign(NamedTuple):
     """What the law for one arm knows."""
 
     observer: ObserverDesign
-    plant: Plant
     model: LinearArms  # of this one arm
-    cost: PlanCost
+    weights: Weights
     friction: SmoothCompensation
 
 
@@ -108,7 +104,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Planne
     track, plan, row = memory.track, memory.plan, memory.row
     track_arm(design.observer, now, begins, track)
     if begins:
-        plan_rows(move_of(now), design.plant, design.model, design.cost, 0, plan)
+        plan_move(move_of(now), design.observer.row, design.model, design.weights, 0, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
     return _torque(design, now, begins, track.ahead, track.disturbance[0], row)
@@ -136,9 +132,8 @@ class PreviewController(ObserverController):
         super().__init__(self.gains.noise(), params)
         self._design = PreviewDesign(
             self._observer.design,
-            self.params.plant(),
             linear_arm(self.params),
-            plan_cost(self.gains.weights()),
+            self.gains.weights(),
             self.gains.compensation(self.params),
         )
 
@@ -164,5 +159,5 @@ class PreviewController(ObserverController):
     def _planned(self, move: Floats) -> Floats:
         """Plan of one move."""
         rows, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
-        plan_rows(MoveShape(*move.tolist()), design.plant, design.model, design.cost, 0, rows)
+        plan_move(MoveShape(*move.tolist()), design.observer.row, design.model, design.weights, 0, rows)
         return rows

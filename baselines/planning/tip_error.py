@@ -84,10 +84,7 @@ def add_tip_cost(cost: Floats, errors: Floats, weights: ErrorWeights) -> None:
                 cost[i, j] += weight * (errors[k, i] * errors[k, j])  # in this order it stays symmetric, bit for bit
 
 
+@inlined
 def error_weights(velocity: float) -> ErrorWeights:
-    """Weights of the tip's squared errors, relative to the scales of the task's cost.
-
-    Args:
-        velocity: Weight of the velocity's error, where the position's has 1.
-    """
+    """Weights of the tip's squared errors over the scales of the task's cost; `velocity` times as much for velocity."""
     return ErrorWeights(1 / POSITION_SCALE**2, velocity / VELOCITY_SCALE**2)
