@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.models.linear import ANGLES, LinearArms, write_linear_arm
-from baselines.planning.norm_sample import (
+from baselines.planning.norm_optimal import (
     Prices,
     Sample,
     deviate,
