@@ -20,20 +20,19 @@ import numpy as np
 from baselines.estimation.accelerometer import AXES, unfiltered
 from baselines.estimation.arm_ekf import begin_track, change_part, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
-from baselines.estimation.believed_motion import move_on, simulate
+from baselines.estimation.believed_motion import Simulation, load, move_on, simulate, write_table
 from baselines.estimation.filter_design import (
     Design,
     Inputs,
     Room,
     Tracks,
+    Uncertainty,
     filter_design,
     inputs_of,
     room_of,
     rooms_for,
 )
 from baselines.estimation.observer import QUANTUM
-from baselines.estimation.simulation_lanes import Simulation, load, write_table
-from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, FIELDS

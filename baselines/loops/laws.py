@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
+from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
-from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import inertia_at

@@ -6,7 +6,7 @@ A track of its own: what is compared with others has the encoder alone.
 from __future__ import annotations
 
 from baselines.controller import LawKernel
-from baselines.estimation.accelerometer_observer import AccelerometerObserver
+from baselines.estimation.accelerometer import AccelerometerObserver
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.preview import PreviewController
 

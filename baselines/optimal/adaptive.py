@@ -24,8 +24,8 @@ import numpy as np
 
 from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.believed_arm import nominal_row
+from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
-from baselines.estimation.uncertainty import Uncertainty
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import (
     AdaptiveDesign,

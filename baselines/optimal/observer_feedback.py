@@ -14,8 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from baselines.controller import ClassicalController
-from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
-from baselines.estimation.tracking import Track
+from baselines.estimation.observer import Estimate, Noise, StickSlipObserver, Track
 from baselines.reading import Reading, sample_of
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats

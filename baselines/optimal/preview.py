@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.controller import LawKernel
-from baselines.estimation.observer import Noise
-from baselines.estimation.tracking import ObserverDesign, Track, track_arm
+from baselines.estimation.observer import Noise, ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArms, linear_arm

@@ -11,8 +11,7 @@ from episodes import memory_after
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation import believed_arm as arm_of
-from baselines.estimation.accelerometer import SPREAD, unfiltered
-from baselines.estimation.accelerometer_observer import acceleration_slopes, steady_accelerometer_gain
+from baselines.estimation.accelerometer import SPREAD, acceleration_slopes, steady_accelerometer_gain, unfiltered
 from baselines.estimation.believed_arm import DELAY, GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
 from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
