@@ -89,13 +89,13 @@ _SWING = LOGS.start  # entry of z: ln S
 
 @compiled
 def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Floats) -> None:
-    """Write the derivatives by z of x after a sample and of the accelerometer's readings over it, see `_propagate`.
+    """Write the derivatives by z of x after a sample and of the accelerometer's readings over it, shape (rows, size).
 
     Args:
         predicted: As `simulate` writes it, of one arm.
         shapes: Of the ripple, as `simulate` leaves them.
         arm: Which of them.
-        jacobian: Shape (rows, size), written.
+        jacobian: Written.
     """
     rows, size = jacobian.shape
     for i in range(rows):
@@ -125,10 +125,7 @@ def _stays(entry: int) -> bool:
 def _learn(
     mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, sticks: bool, room: Room
 ) -> None:
-    """Correct mean and covariance by the innovation of one entry and its variance.
-
-    While the motor sticks, the constants but g stay as they are, and so does what is known of them.
-    """
+    """Correct mean and covariance by the innovation of one entry and its variance."""
     row, gain = room.row, room.gain
     width = covariance.shape[1]
     for j in range(width):
@@ -183,13 +180,7 @@ def _propagate(covariance: Floats, decay: float, room: Room) -> None:
     """Turn a covariance into that before the measurement: F P F' + Q.
 
     F is the unit matrix but for its rows of x, of the accelerometer's readings, which come last, and of d; Q is of x
-    and of the readings alone, from what torque and torsional acceleration do to them, each by its standard deviation:
-    `Room.noise`.
-
-    Args:
-        covariance: With an accelerometer, there are AXES more rows and columns, which are written.
-        decay: Share of d that is left.
-        room: With noise and Jacobian; changed.
+    and of the readings alone: `Room.noise`. The rows and columns of the readings are written.
     """
     jacobian, half, noise = room.jacobian, room.half, room.noise
     rows, size = jacobian.shape
@@ -214,15 +205,7 @@ def _propagate(covariance: Floats, decay: float, room: Room) -> None:
 
 @compiled
 def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: bool, noise: Floats) -> None:
-    """Write what the process noise does to x and to the accelerometer's readings.
-
-    Args:
-        design: Of the filter.
-        surprise: w.
-        predicted: As `simulate` writes it, of one arm.
-        sticks: Whether the motor does.
-        noise: Shape (2, rows), written.
-    """
+    """Write what deviations of torque and torsional acceleration do to x and to the readings, shape (2, rows)."""
     doubtful = design.doubtful / (1 + (predicted[1, 0] / design.slow) ** 2)
     torque = (design.torque + doubtful) * max(surprise, 1.0) * (design.sticking if sticks else 1.0)
     row, weight = place(predicted[0, 0] / design.nominal[COLUMN.gear_ratio])
@@ -241,15 +224,7 @@ def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: boo
 
 @compiled
 def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
-    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad].
-
-    Args:
-        design: Of the filter.
-        tracks: Changed, but for `holds`.
-        arm: Which of them.
-        angle: [rad]
-        resolution: [rad]
-    """
+    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad], but for `holds`."""
     z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
     for i in range(size):
         z[i] = design.mean[i]
@@ -268,11 +243,7 @@ def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resoluti
 def change_part(design: Design, tracks: Tracks, arm: int, holds: bool) -> None:
     """Open what is known of ln S where a part is placed or picked, or placed and another picked.
 
-    Args:
-        design: Of the filter.
-        tracks: Changed.
-        arm: Which of them.
-        holds: Whether the gripper holds a part from now on.
+    `holds` says whether the gripper holds a part from now on.
     """
     z, covariance, without_part = tracks.mean[arm], tracks.covariance[arm], tracks.without_part[arm]
     if tracks.holds[arm]:
@@ -327,15 +298,15 @@ def _watch(design: Design, tracks: Tracks, arm: int, noise_factor: float, measur
 
 @compiled
 def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, sticks: bool, room: Room) -> None:
-    """Correct one filter by its measurement, once its arm has been simulated.
+    """Correct one filter by its measurement, once its arm has been simulated into `room`.
 
     Args:
         design: Of the filters.
-        tracks: With room for AXES more entries of z with an accelerometer; changed.
+        tracks: Changed.
         arm: Which of them.
         seen: Measurements.
         sticks: Whether the motor does after the sample.
-        room: With the simulations, see `believed_motion.simulate`, and the encoders' resolutions; changed.
+        room: With the encoders' resolutions, too; changed.
     """
     z, covariance, predicted = tracks.mean[arm], tracks.covariance[arm], room.predicted[arm]
     resolution = room.resolution[arm]

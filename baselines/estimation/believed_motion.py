@@ -121,7 +121,7 @@ def load_commands(block: Floats, commands: Floats, held: int) -> None:
 
     Args:
         block: Written.
-        commands: Of the arms, latest first [N m], shape (arms, HISTORY).
+        commands: See `Belief`.
         held: Samples for which the last command has been held since.
     """
     for lane in range(len(commands)):
@@ -154,7 +154,7 @@ def load(beliefs: Floats, nominal: Floats, deflections: Floats, room: Simulation
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
-        deflections: Of their motors, see `Belief`, shape (arms,).
+        deflections: See `Belief`.
         room: Changed.
     """
     arms = len(beliefs)
@@ -182,16 +182,9 @@ def _copy(source: Floats, target: Floats, arms: int, begin: int, end: int) -> No
 def load_copy(
     k: int, block: Floats, actions: Floats, beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation
 ) -> None:
-    """Put copies of loaded arms into lanes, as they are or, for k > 0, with an entry perturbed.
+    """Put copies of loaded arms into the first lanes of a block, and the actions of these lanes into theirs.
 
-    Args:
-        k: Index of the entry, plus one.
-        block: Whose first lanes are written.
-        actions: Of these lanes, written.
-        beliefs: As of `load`.
-        nominal: As of `load`.
-        commands: Of the arms, latest first [N m], shape (arms, HISTORY).
-        room: With arms that are loaded; changed.
+    They are as the arms or, for k > 0, have entry k - 1 perturbed. Other arguments are those of `simulate`.
     """
     arms, z, ripple = len(beliefs), room.z, room.ripple
     _copy(room.loaded, block, arms, 0, at.MOVE)
@@ -230,13 +223,7 @@ def write_table(constants: Floats, table: Floats) -> None:
 
 @compiled
 def move_on(commands: Floats, held: int, room: Simulation) -> None:
-    """Move loaded arms by one period, their last command having been held for some samples.
-
-    Args:
-        commands: Of the arms, latest first [N m], shape (arms, HISTORY).
-        held: Samples.
-        room: Changed; x of the arms is the first rows of `loaded`.
-    """
+    """Move loaded arms by one period, their last command having been held for some samples; x is in `room.loaded`."""
     arms = len(commands)
     load_commands(room.loaded, commands, held)
     write_ripple(room.loaded, room.z, arms, room.shapes, room.ripple)
@@ -261,8 +248,8 @@ def simulate(
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
         nominal: From `nominal_row`.
-        commands: Of the past [N m], latest first, shape (arms, HISTORY).
-        deflections: Of the motors, see `Belief`, shape (arms,); changed to those after the period.
+        commands: Of the past, see `Belief`.
+        deflections: See `Belief`; changed to those after the period.
         room: Changed; holds the shapes of the arms' ripple then.
         result: x after the period, written: that of z, and then those of the copies, shape (arms or more, 4,
             1 + DIFFERENCED). With an accelerometer, its readings over the period stand below x, and there are more

@@ -66,19 +66,14 @@ class Uncertainty:
     kinematic_error: float = 1.2e-4  # of e_s and e_c [rad]
 
     def covariance(self) -> Floats:
-        """Initial covariance of z, shape (SIZE, SIZE), at rest; without that of the angle, which is the encoder's."""
+        """Initial covariance of z, (ACCELEROMETER_SIZE,) * 2, at rest; without that of the angle, the encoder's."""
         constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
         drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.giving]
-        drive.append(self.disturbance)
         ripple = [self.ripple] * (2 * len(ORDERS))
-        result = np.diag(np.square([0.0, 0.0, 1e-4, 1e-4, *constants, *drive, *ripple]))
+        accelerometer = [self.kinematic_error] * 2 + [ZERO_G / 3**0.5] * AXES
+        deviations = [0.0, 0.0, 1e-4, 1e-4, *constants, *drive, self.disturbance, *ripple, *accelerometer]
+        result = np.diag(np.square(deviations))
         result[LOGS, LOGS] += self.torque_constant**2
-        return result
-
-    def accelerometer_covariance(self) -> Floats:
-        """Initial covariance of z with an accelerometer, shape (ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)."""
-        result = np.diag(np.square([*[0.0] * SIZE, *[self.kinematic_error] * 2, *[ZERO_G / 3**0.5] * AXES]))
-        result[:SIZE, :SIZE] = self.covariance()
         return result
 
     @property
@@ -98,8 +93,8 @@ class Uncertainty:
 class Tracks(NamedTuple):
     """State of m filters, each of one arm."""
 
-    mean: Floats  # z, shape (m, SIZE) or (m, ACCELEROMETER_SIZE)
-    covariance: Floats  # of it, shape (m, SIZE, SIZE) or (m, ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)
+    mean: Floats  # z, shape (m, SIZE) or (m, ACCELEROMETER_SIZE + AXES): the last are room for predicted readings
+    covariance: Floats  # of it, shape (m, SIZE, SIZE), or as wide as the mean
     surprise: Floats  # w, shape (m,)
     noise_factor: Floats  # W of the accelerometer, shape (m,); 1 without one
     holds: Flags  # whether the gripper holds a part, shape (m,)
@@ -200,7 +195,8 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
     """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`."""
     nominal = nominal_row(params)
     arm = linear_arms(nominal[None])
-    mean = np.zeros(ACCELEROMETER_SIZE if accelerometer else SIZE)
+    size = ACCELEROMETER_SIZE if accelerometer else SIZE
+    mean = np.zeros(size)
     mean[LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
     mean[DELAY] = mean[LAG] + params.command_latency / CONTROL_PERIOD
     swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
@@ -209,7 +205,7 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
         by_noise=np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1),
         growth=uncertainty.growth(),
         mean=mean,
-        covariance=uncertainty.accelerometer_covariance() if accelerometer else uncertainty.covariance(),
+        covariance=uncertainty.covariance()[:size, :size].copy(),
         torque=uncertainty.torque,
         sticking=uncertainty.sticking,
         acceleration=uncertainty.acceleration,

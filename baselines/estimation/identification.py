@@ -136,14 +136,7 @@ def _note(design: Design, inputs: Inputs, belief: Belief, room: Room) -> bool:
 
 @compiled
 def identify(design: Design, inputs: Inputs, belief: Belief, room: Room) -> None:
-    """Bring the belief about up to `ARMS` arms up to this sample, in place.
-
-    Args:
-        design: Of the filters.
-        inputs: Of this sample.
-        belief: Of the last sample; about arms that begin an episode, anything. Changed.
-        room: Changed.
-    """
+    """Bring the belief about up to `ARMS` arms up to this sample; about those that begin, it may be anything before."""
     if _note(design, inputs, belief, room):
         rubs = design.nominal[COLUMN.coulomb_friction] > 0.0
         simulate(
@@ -182,16 +175,8 @@ def _identify_all(
 ) -> None:
     """Bring the belief about any number of arms up to this sample: some at a time, which caches hold.
 
-    Several threads may do so at a time, each with room of its own.
-
-    Args:
-        thread: Index of this one.
-        design: Of the filters.
-        inputs: Of this sample.
-        before: Of the last sample; `belief` itself where all arms begin.
-        belief: Of this sample, written.
-        taken: What has been taken of each thread's share, see `take_block`.
-        rooms: Of each thread; changed.
+    Several threads may do so at a time. `before` is that of the last sample, `belief` itself where all arms begin;
+    of each thread, `taken` says what has been taken of its share, see `take_block`, and `rooms` is its room.
     """
     room, count = room_of(rooms, thread), len(inputs.begins)
     while True:

@@ -106,14 +106,7 @@ def sticks(state: Floats, motor_angle: float) -> bool:
 
 @compiled
 def correct(design: ObserverDesign, state: Floats, disturbance: float, motor_angle: float) -> float:
-    """Correct the predicted state of one arm by its encoder, and return the corrected disturbance [N m].
-
-    Args:
-        design: Of the filter.
-        state: Predicted, shape (size,); x in it is written.
-        disturbance: d [N m], that of the last sample.
-        motor_angle: theta_a by the encoder [rad].
-    """
+    """Correct the predicted state of one arm by its encoder [rad], and return the corrected disturbance [N m]."""
     at_rest, innovation = sticks(state, motor_angle), motor_angle - state[0]
     row, weight = place(state[0] / design.row[COLUMN.gear_ratio])
     for i in range(X):

@@ -21,7 +21,6 @@ from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
 from agents.observer.run import ObserverConfig, fit, standardise
 from agents.residual.informed import InformedBase
 from baselines import CONTROLLERS
-from baselines.estimation.believed_arm import LOGS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_columns, params_table
@@ -66,7 +65,7 @@ class TestEstimates:
         estimate, _ = observer.observe(informed.seen(observation, memory))
         belief = AdaptiveController().belief(memory.base)
         assert np.allclose(estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
-        assert np.allclose(estimate.mean[:, 6:], belief.tracks.mean[:, LOGS], rtol=1e-4, atol=1e-6)
+        assert np.allclose(estimate.mean[:, 6:], belief.tracks.mean[:, 4:10], rtol=1e-4, atol=1e-6)
         assert np.array_equal(estimate.deviation, np.ones((2, len(NAMES))))
 
     def test_sample_by_sample_is_what_was_fitted(self):

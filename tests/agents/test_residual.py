@@ -22,7 +22,6 @@ from agents.residual.env import ResidualEnv, ResidualVecEnv
 from agents.residual.informed import InformedBase
 from agents.residual.knowledge import ENTRIES, residual_observation_space
 from baselines import CONTROLLERS
-from baselines.estimation.believed_arm import DELAY
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
@@ -175,14 +174,11 @@ def test_what_the_agent_observes():
         unexplained.append(belief.angle - belief.state[:, 0])
         commands.append(action[:, 0])
         if sample % SETTINGS.hold == 0:
+            z, doubt = belief.tracks.mean, np.sqrt(belief.tracks.covariance[:, 5, 5])
             expected = {
-                **{"base_torque": action[:, 0], "believed_torsion": belief.state[:, 2]},
-                **{"believed_belt_stiffness": belief.tracks.mean[:, 5], "believed_delay": belief.tracks.mean[:, DELAY]},
-                **{
-                    "doubt_of_belt_stiffness": np.sqrt(belief.tracks.covariance[:, 5, 5]),
-                    "surprise": belief.tracks.surprise,
-                },
-                "unexplained_angle_0": unexplained[-1],
+                **{"base_torque": action[:, 0], "believed_torsion": z[:, 2], "believed_delay": z[:, 10]},
+                **{"believed_belt_stiffness": z[:, 5], "doubt_of_belt_stiffness": doubt},
+                **{"surprise": belief.tracks.surprise, "unexplained_angle_0": unexplained[-1]},
             }
             if sample > 0:
                 expected |= {"unexplained_angle_3": unexplained[-4], "command_2_before_last": commands[-4]}

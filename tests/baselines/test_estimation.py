@@ -161,10 +161,9 @@ def test_kinematic_error_and_zero_g_output_are_found():
     np.testing.assert_allclose(z[arm_of.ERROR_SINE], size * np.cos(phase), atol=8e-6)
     np.testing.assert_allclose(z[arm_of.ERROR_COSINE], size * np.sin(phase), atol=8e-6)
     assert size.max() > 2e-4
-    np.testing.assert_allclose(
-        z[arm_of.BIAS : arm_of.ACCELEROMETER_SIZE].T, felt[0], atol=4 * SPREAD
-    )  # at rest, but for its noise
-    assert np.sqrt(variances(memory.belief)[:, arm_of.BIAS : arm_of.ACCELEROMETER_SIZE]).max() < 0.5 * SPREAD
+    bias = slice(arm_of.BIAS, arm_of.ACCELEROMETER_SIZE)
+    np.testing.assert_allclose(z[bias].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
+    assert np.sqrt(memory.belief.tracks.covariance[:, bias, bias].diagonal(0, 1, 2)).max() < 0.5 * SPREAD
 
 
 TRAIN_SEED = 5_000_000
@@ -181,10 +180,6 @@ def batch(count: int, seed: int = TRAIN_SEED, **settings: Any) -> BeltArmVectorE
 def believed_after(controller: AdaptiveController, env: BeltArmVectorEnv, steps: int = EPISODE_STEPS) -> Belief:
     """What a controller believes of arms after so many samples from their start."""
     return memory_after(controller, env, steps, seed=TRAIN_SEED).belief
-
-
-def variances(belief: Belief) -> Floats:
-    return belief.tracks.covariance.diagonal(axis1=1, axis2=2)
 
 
 def true_delays(env: BeltArmVectorEnv) -> Floats:
@@ -206,7 +201,7 @@ class TestIdentification:
         env, controller = batch(64, randomization="train"), AdaptiveController()
         belief = believed_after(controller, env, 600)
         error = belief.tracks.mean[:, LOGS] - true_logs(env, controller.params)
-        assert (np.sqrt(np.mean(error**2 / variances(belief)[:, LOGS], axis=0)) < 2.0).all()
+        assert (np.sqrt(np.mean(error**2 / belief.tracks.covariance.diagonal(0, 1, 2)[:, LOGS], axis=0)) < 2.0).all()
         most = {"arm_inertia_swing": 0.13, "belt_stiffness": 0.1, "motor_inertia": 0.05, "coulomb_friction": 0.1}
         for name, bound in most.items():
             assert np.sqrt(np.mean(error[:, IDENTIFIED.index(name)] ** 2)) < bound, name
@@ -280,7 +275,8 @@ class TestParts:
         belief = identifier.update(None, reading, np.ones(2, np.bool_))
         swing = identifier.estimate(belief).table[:, COLUMN.arm_inertia_swing]
         assert swing == pytest.approx([design_model().arm_inertia_swing, design_model().plant().inertia_swing])
-        assert variances(belief)[0, LOGS.start] < variances(belief)[1, LOGS.start]
+        variance = belief.tracks.covariance[:, LOGS.start, LOGS.start]
+        assert variance[0] < variance[1]
 
     def test_a_shift_costs_less_with_what_is_known_from_its_moves(self):
         """Moves two to four of 10 arms, against controllers that begin anew and do not know of parts."""
@@ -324,5 +320,5 @@ class TestTrust:
         belief.tracks.covariance[:, 2, 2] = variance
         for _ in range(EPISODE_STEPS):
             belief = identifier.update(belief, reading, np.zeros(8, np.bool_))
-            assert np.isfinite(belief.tracks.mean).all() and (variances(belief)[:, 2] <= 4).all()
-        assert (np.sqrt(variances(belief)[:, 2]) < 0.02).all() and (abs(belief.state[:, 2]) < 0.02).all()
+            assert np.isfinite(belief.tracks.mean).all() and (belief.tracks.covariance[:, 2, 2] <= 4).all()
+        assert (np.sqrt(belief.tracks.covariance[:, 2, 2]) < 0.02).all() and (abs(belief.state[:, 2]) < 0.02).all()
