@@ -80,14 +80,10 @@ def mean_acceleration(before: TipMotion, x: ArmState, plant: Plant, drive: Drive
 
 
 def unfiltered(now: Floats, before: Floats) -> tuple[Floats, Floats]:
-    """Undo the sensor's low-pass.
-
-    Args:
-        now: Readings a[k] [m/s^2], shape (n, AXES).
-        before: Those of a sample before.
+    """Undo the sensor's low-pass, of readings a[k] and those of a sample before [m/s^2], shape (n, AXES).
 
     Returns:
-        m[k] [m/s^2] and the variances of its noise, both of shape (n, AXES); one that is cut off tells nothing.
+        m[k] [m/s^2] and the variances of its noise, of the same shape; one that is cut off tells nothing.
     """
     cut = np.maximum(np.abs(now), np.abs(before)) > _CUT
     return (now - DECAY * before) / (1 - DECAY), np.where(cut, 1e6, SPREAD**2)
@@ -180,9 +176,7 @@ class AccelerometerObserver(StickSlipObserver):
             found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias
         )
 
-    def _correct(
-        self, estimate: Estimate, reading: Reading, begins: Flags, states: Floats, disturbances: Floats
-    ) -> None:
+    def _correct(self, estimate: Estimate, reading: Reading, states: Floats, disturbances: Floats) -> None:
         """Correct predicted states, see `StickSlipObserver`."""
         assert isinstance(estimate, AccelerometerEstimate) and reading.acceleration is not None
         off, angle = reading.motor_angle - states[:, 0], states[:, 0] / self.params.gear_ratio

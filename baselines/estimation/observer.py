@@ -141,12 +141,10 @@ def acting_torques(commands: Floats, begins: Flags, states: Floats, disturbances
 
 
 @compiled
-def correct_arms(
-    design: ObserverDesign, states: Floats, last: Floats, motor_angles: Floats, begins: Flags, disturbances: Floats
-) -> None:
+def correct_arms(design: ObserverDesign, states: Floats, last: Floats, angles: Floats, disturbances: Floats) -> None:
     """Correct the predicted states of n arms, and write their disturbances [N m] from those of the last sample."""
     for i in range(len(states)):
-        disturbances[i] = 0.0 if begins[i] else correct(design, states[i], last[i], motor_angles[i])
+        disturbances[i] = correct(design, states[i], last[i], angles[i])
 
 
 @compiled
@@ -252,22 +250,12 @@ class StickSlipObserver:
         else:
             acting_torques(commands, begins, estimate.arm, estimate.disturbance, torques)
             states = simulation.advance(estimate.arm, torques)
-            self._correct(estimate, reading, begins, states, disturbances)
+            self._correct(estimate, reading, states, disturbances)
         begin_arms(simulation.room.blocks, reading.motor_angle, begins, states, disturbances)
         acting_torques(commands, begins, states, disturbances, torques)
         ahead = simulation.ahead(states, torques, np.full(count, self.design.delay))
         return Estimate(states, ahead, disturbances, simulation)
 
-    def _correct(
-        self, estimate: Estimate, reading: Reading, begins: Flags, states: Floats, disturbances: Floats
-    ) -> None:
-        """Correct predicted states, shape (n, size), and write the disturbances, shape (n,).
-
-        Args:
-            estimate: That of the last sample.
-            reading: Measurements.
-            begins: Arms whose numbers do not matter.
-            states: Predicted from `estimate`, written.
-            disturbances: Written.
-        """
-        correct_arms(self.design, states, estimate.disturbance, reading.motor_angle, begins, disturbances)
+    def _correct(self, estimate: Estimate, reading: Reading, states: Floats, disturbances: Floats) -> None:
+        """Correct states, shape (n, size), predicted from the last sample's estimate, and write disturbances, (n,)."""
+        correct_arms(self.design, states, estimate.disturbance, reading.motor_angle, disturbances)

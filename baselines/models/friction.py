@@ -67,12 +67,9 @@ def friction_level(friction: DryFriction, motor_speed: float) -> float:
 
 @inlined
 def commanded_direction(wanted: Reference, push: float, width: float) -> float:
-    """Direction in which friction is to be overcome, from -1 to 1.
+    """Direction in which friction is to be overcome, from -1 to 1: of the mean speed wanted until the next sample.
 
-    Args:
-        wanted: Reference motion; what counts is its mean speed until the next sample.
-        push: Torque of the feedback [N m].
-        width: The push that is compensated in full while the reference rests [N m].
+    Where the reference rests, that of the feedback's push [N m], compensated in full from `width` [N m] on.
     """
     speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
     return min(max(push / width, -1.0), 1.0) if abs(speed) < RESTING else np.sign(speed)
@@ -107,13 +104,13 @@ class FrictionGains(Gains):
 
 @inlined
 def smooth_direction(motor_speed: float, torque: float, slow: float, width: float) -> float:
-    """Direction in which friction is to be overcome, from -1 to 1.
+    """Direction in which friction is to be overcome, from -1 to 1: of the estimated speed [rad/s] and the torque [N m].
 
     Args:
-        motor_speed: Estimated [rad/s].
-        torque: Asked of the motor, friction left out [N m].
-        slow: omega_0, the speed that decides alone [rad/s].
-        width: The torque that does [N m].
+        motor_speed: Estimated.
+        torque: Asked of the motor, friction left out.
+        slow: omega_0, the speed that decides alone.
+        width: The torque that does.
     """
     return min(max(motor_speed / slow + torque / width, -1.0), 1.0)
 
@@ -138,9 +135,7 @@ def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -
 def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
     """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].
 
-    Args:
-        row: Constants of the arm, as the fields of `ArmParams`, shape (len(FIELDS),).
-        state: x at the beginning of a sample, shape (4,); torques are those in its middle.
+    They are those in the middle of a sample that begins with x, shape (4,), of an arm with a row of constants.
     """
     plant, drive, speed = plant_of(row), drive_of(row), state[1]
     x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])

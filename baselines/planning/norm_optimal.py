@@ -116,14 +116,10 @@ class Prices(NamedTuple):
 
 @inlined
 def sample_change(size: int, sample: Sample, prices: Prices, to_go: CostToGo, gain: Floats) -> float:
-    """Go back by one sample: write the gain K of the optimal change, and return its constant c [N m].
+    """Go back by one sample: write the gain K of the optimal change, shape (n + 1,), and return its constant c [N m].
 
-    Args:
-        size: n + 1, a literal.
-        sample: Its problem; changed. Half the curvature of the cost to go is the last entry of its slope.
-        prices: Of the torque.
-        to_go: Cost after the sample; turned into that before it.
-        gain: K, shape (n + 1,), written.
+    `size` is n + 1, a literal. The cost after the sample, `to_go`, becomes that before it. Half the curvature of the
+    cost to go is the last entry of the sample's slope then.
     """
     states = size - 1
     for error in range(4):

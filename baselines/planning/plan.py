@@ -131,15 +131,7 @@ def plan_move(move: MoveShape, row: Floats, model: LinearArms, weights: Weights,
 
 @inlined
 def torque_between(low: Floats, high: Floats, share: float, x: Floats, last: float) -> float:
-    """Torque tau_ff - K [x - x_ref; tau_last] [N m] by a plan between two of its rows, each of shape (10,).
-
-    Args:
-        low: The earlier row.
-        high: The later one.
-        share: Of the time between them that has passed.
-        x: State then, shape (4,).
-        last: Torque before it, that of the plan [N m].
-    """
+    """Torque tau_ff - K [x - x_ref; tau_last] [N m] by a plan between two of its rows, a share of their time apart."""
     feedback = 0.0
     for i in range(4):
         gain = low[GAIN + i] + share * (high[GAIN + i] - low[GAIN + i])
@@ -157,14 +149,7 @@ def step_of_plan(time: float) -> tuple[int, float]:
 
 @inlined
 def torque_of_plan(rows: Floats, time: float, x: Floats, last: float) -> float:
-    """Torque [N m] by the plan of one arm; between samples its rows are interpolated.
-
-    Args:
-        rows: The plan, shape (1200, 10).
-        time: At which the torque acts, since the episode's start [samples].
-        x: State then, shape (4,).
-        last: Torque before it, that of the plan [N m].
-    """
+    """Torque [N m] by the plan of one arm at a time since the episode's start [samples], see `torque_between`."""
     step, share = step_of_plan(time)
     return torque_between(rows[step], rows[step + 1], share, x, last)
 
@@ -175,7 +160,7 @@ leaves those of the others where they are; never changed in place, since a memor
 
 
 def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floats:
-    """Plan of one move, shape (1200, 10), from a sample on; earlier rows are zero.
+    """Plan of one move from a sample on, shape (1200, 10); earlier rows are zero.
 
     Args:
         move: Start, goal [rad], duration, ramp time [s]; shape (4,).

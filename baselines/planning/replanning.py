@@ -51,12 +51,12 @@ def steps_of(duration: float, step: int, most: int) -> int:
 
 @compiled
 def is_stale(duration: float, step: int, logs: Floats, of_plan: Floats) -> bool:
-    """Whether a plan is to be made anew.
+    """Whether a plan made for some logarithms of constants, shape (m,), is to be made anew for others.
 
     Args:
         duration: Of the reference [s].
         step: Samples since the move's start.
-        logs: Of the estimated constants over their nominal values, shape (m,).
+        logs: See `Situation`.
         of_plan: Those that the plan was made for.
     """
     most = 0.0

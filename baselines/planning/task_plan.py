@@ -147,14 +147,9 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem) -> None:
 
 @compiled
 def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, sample: Sample) -> float:
-    """Write the law of a step of improvement, and return what the task charges for the plan as it is.
+    """Write the law of a step of improvement into `PlanRoom.steps`, K and, in the last column, c of each sample.
 
-    Args:
-        rows: The plan, shape (1200, 10).
-        steps: K and, in the last column, c of each sample, shape (1200, 6); written.
-        first: Sample from which torques may change.
-        problem: Arm and move.
-        sample: Room.
+    Returns what the task charges for the plan as it is.
     """
     total, to_go, errors, plant = 0.0, no_cost(5), sample.errors, problem.plant
     after = reference_of(problem, len(rows) - 1)
@@ -192,14 +187,7 @@ def _follow(steps: Floats, first: int, problem: Problem, sample: Sample) -> None
 
 @compiled
 def improve(rows: Floats, first: int, problem: Problem, steps: Floats) -> bool:
-    """Improve a plan from a sample on; tell whether there was anything to gain.
-
-    Args:
-        rows: Reference, gain, torque, shape (1200, 10), once `anchor` has been there; changed.
-        first: First sample whose torque may change, from 1 on.
-        problem: Arm and move.
-        steps: Room, see `PlanRoom`.
-    """
+    """Improve an anchored plan from a sample on, 1 at least; tell whether there was anything to gain."""
     sample = empty_sample(5)
     cost = _solve(rows, steps, first, problem, sample)
     _follow(steps, first, problem, sample)
@@ -217,14 +205,7 @@ def improve(rows: Floats, first: int, problem: Problem, steps: Floats) -> bool:
 
 @compiled
 def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> int:
-    """Improve the rest of a plan for the task's own cost, and return by how many steps.
-
-    Args:
-        problem: Arm and move.
-        start: From where.
-        steps: Room, see `PlanRoom`.
-        rows: Reference, gain, torque; shape (1200, 10), changed from the time on.
-    """
+    """Improve the rest of a plan for the task's own cost, and return by how many steps; `steps` is `PlanRoom.steps`."""
     if not start.time < _LAST:
         return 0
     anchor(rows, start.time, start.state, problem)
@@ -236,16 +217,7 @@ def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> int:
 
 @compiled
 def plan_task(move: MoveShape, row: Floats, weights: Weights, start: Start, room: PlanRoom, rows: Floats) -> None:
-    """Plan a move for squares, from a sample on, and refine the plan.
-
-    Args:
-        move: Of the joint.
-        row: Constants of the arm, shape (len(FIELDS),).
-        weights: Of the squares.
-        start: From where.
-        room: Changed; holds the arm's model then.
-        rows: Reference, gain, torque; shape (1200, 10), written from the sample on.
-    """
+    """Plan a move for squares and refine the plan; `room.model` is that of the arm then."""
     write_linear_arm(row, room.model)
     problem = problem_of(move, row, room.model, weights)
     plan_backwards(problem, no_cost(5), start.first, len(rows), rows)
