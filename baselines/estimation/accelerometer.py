@@ -47,7 +47,7 @@ from baselines.estimation.observer import (
     StickSlipObserver,
     with_disturbance,
 )
-from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
+from baselines.models.linear import ANGLES, LinearArm, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
@@ -116,7 +116,7 @@ def acceleration_slopes(angle: float, plant: Plant) -> Floats:
 
 
 def steady_accelerometer_gain(
-    arm: LinearArms, slopes: Floats, noise: Noise, decay: float, spread: tuple[float, float]
+    arm: LinearArm, slopes: Floats, noise: Noise, decay: float, spread: tuple[float, float]
 ) -> Floats:
     """Steady-state gain L, shape (5, 1 + AXES), of one linear arm at one angle.
 
@@ -147,11 +147,11 @@ def accelerometer_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats
     slides, sticks = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
     for k, angle in enumerate(ANGLES):
         slopes = acceleration_slopes(angle, plant)
-        arm = LinearArms(*(part[k] for part in moving))
+        arm = moving.at(k)
         for j, speed in enumerate(_SPEEDS):
             across = float(np.hypot(SPREAD, reach * 4 * _ERROR * speed**2))
             slides[k, j] = steady_accelerometer_gain(arm, slopes, noise, 1.0, (SPREAD, across))
-        rest = LinearArms(*(part[k] for part in held))
+        rest = held.at(k)
         sticks[k] = steady_accelerometer_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
     sticks[:, [0, 1, 4]] = sticks[:, :, 0] = 0.0
     sticks[:, 0, 0] = AT_REST

@@ -80,12 +80,12 @@ class Simulation(NamedTuple):
     other_ripple: Rows  # of a copy [N m]
 
 
-def simulation_room(size: int) -> Simulation:
-    """Room for simulations of arms of which z has `size` entries."""
+def simulation_room(size: int, threads: tuple[int, ...] = ()) -> Simulation:
+    """Room for simulations of arms of which z has `size` entries; of several threads, as the first axis."""
     shapes, fields = 2 * len(ORDERS), len(FIELDS)
     rows = (_ROWS, _ROWS, REAL_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
-    room = Simulation._make(np.zeros(count * LANES) for count in rows)
-    return room if size > SIZE else room._replace(velocities=np.zeros(2))
+    room = Simulation._make(np.zeros((*threads, count * LANES)) for count in rows)
+    return room if size > SIZE else room._replace(velocities=np.zeros((*threads, 2)))
 
 
 @compiled

@@ -10,7 +10,6 @@ import numpy as np
 from baselines.estimation.accelerometer import AXES
 from baselines.estimation.believed_arm import (
     ACCELEROMETER_SIZE,
-    ARMS,
     DELAY,
     DIFFERENCED,
     DISTURBANCE,
@@ -23,7 +22,7 @@ from baselines.estimation.believed_arm import (
     nominal_row,
 )
 from baselines.estimation.believed_motion import Simulation, simulation_room
-from baselines.models.linear import linear_arms
+from baselines.models.linear import linear_arm_of
 from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
@@ -166,27 +165,20 @@ class Room(NamedTuple):
     resolution: Floats  # of each arm's encoder [rad], shape (arms,)
 
 
-def room_for(count: int, accelerometer: bool = False) -> Room:
-    """Room for the filters of `count` arms, at most `ARMS`."""
+def room_for(count: int, accelerometer: bool = False, threads: tuple[int, ...] = ()) -> Room:
+    """Room for the filters of `count` arms, at most `ARMS`; of several threads, as the first axis of all arrays."""
     size, axes = (ACCELEROMETER_SIZE, AXES) if accelerometer else (SIZE, 0)
     simulations = 1 + DIFFERENCED + (2 + 4 if accelerometer else 0)
-    shapes = (
+    shapes: tuple[tuple[int, ...], ...] = (
         *((count, 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
-        *(size + axes, size + axes, count),
+        *((size + axes,), (size + axes,), (count,)),
     )
-    return Room(simulation_room(size), *map(np.zeros, shapes))
-
-
-def rooms_for(threads: int, accelerometer: bool) -> Room:
-    """Room for the filters of `ARMS` arms in each of several threads, which are the first axis of all arrays."""
-    room = room_for(ARMS, accelerometer)
-    simulation, parts = ([np.zeros((threads, *part.shape)) for part in of] for of in (room.simulation, room[1:]))
-    return Room(Simulation(*simulation), *parts)
+    return Room(simulation_room(size, threads), *(np.zeros(threads + shape) for shape in shapes))
 
 
 @compiled
 def room_of(rooms: Room, thread: int) -> Room:
-    """Room of one thread, see `rooms_for`."""
+    """Room of one thread, see `room_for`."""
     simulation = Simulation._make(part[thread] for part in rooms.simulation)
     return Room(simulation, *(part[thread] for part in rooms[1:]))
 
@@ -194,7 +186,7 @@ def room_of(rooms: Room, thread: int) -> Room:
 def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bool = False) -> Design:
     """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`."""
     nominal = nominal_row(params)
-    arm = linear_arms(nominal[None])
+    arm = linear_arm_of(nominal)
     size = ACCELEROMETER_SIZE if accelerometer else SIZE
     mean = np.zeros(size)
     mean[LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
@@ -202,7 +194,7 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
     swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
     return Design(
         nominal=nominal,
-        by_noise=np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1),
+        by_noise=np.stack([arm.by_torque, arm.by_acceleration], axis=1),
         growth=uncertainty.growth(),
         mean=mean,
         covariance=uncertainty.covariance()[:size, :size].copy(),

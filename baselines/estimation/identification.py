@@ -29,8 +29,8 @@ from baselines.estimation.filter_design import (
     Uncertainty,
     filter_design,
     inputs_of,
+    room_for,
     room_of,
-    rooms_for,
 )
 from baselines.estimation.observer import QUANTUM
 from baselines.reading import Reading
@@ -297,5 +297,5 @@ class ArmIdentifier:
         """Return room for the threads that work for a number of arms, and what they have taken: nothing."""
         threads = usual_threads(count // ARMS)
         if self._rooms is None or len(self._rooms.resolution) < threads:
-            self._rooms = rooms_for(threads, self._axes > 0)
+            self._rooms = room_for(ARMS, self._axes > 0, (threads,))
         return self._rooms, none_taken(threads)

@@ -34,7 +34,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArms, between, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
 from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
@@ -180,7 +180,7 @@ class Estimate:
         return self.arm[:, :X]
 
 
-def with_disturbance(arm: LinearArms, torque: float, acceleration: float, decay: float) -> tuple[Floats, Floats]:
+def with_disturbance(arm: LinearArm, torque: float, acceleration: float, decay: float) -> tuple[Floats, Floats]:
     """Transition of [x; d] and covariance of its noise, but for that of d, see `steady_gain`."""
     transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, decay]), np.zeros((5, 5))
     transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
@@ -190,7 +190,7 @@ def with_disturbance(arm: LinearArms, torque: float, acceleration: float, decay:
 
 
 def steady_gain(
-    arm: LinearArms, torque: float, acceleration: float, decay: float, growth: float, open_to: float = 0.0
+    arm: LinearArm, torque: float, acceleration: float, decay: float, growth: float, open_to: float = 0.0
 ) -> Floats:
     """Steady-state Kalman gain for [x; d], shape (5,), of an encoder with its usual rounding.
 
@@ -214,7 +214,7 @@ def steady_gain(
 def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
     """Steady-state gains L for [x; d] at each of `ANGLES`, shape (46, 5)."""
     arms, growth = linear_arm(params), noise.disturbance**2 * CONTROL_PERIOD
-    rows = [LinearArms(*(part[k] for part in arms)) for k in range(len(ANGLES))]
+    rows = [arms.at(k) for k in range(len(ANGLES))]
     return np.array([steady_gain(arm, noise.torque, noise.acceleration, 1.0, growth) for arm in rows])
 
 

@@ -23,7 +23,7 @@ from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
 from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.horizon import Horizon, horizon
@@ -172,7 +172,7 @@ def preview_law(controller: PreviewController, k: int) -> Law:
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
-    arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
+    arm, growth = _linear_arm(params).at(k), uncertainty.growth()[DISTURBANCE]
     return steady_gain(arm, uncertainty.torque, uncertainty.acceleration, uncertainty.decay, growth, QUANTUM**2 / 120)
 
 

@@ -20,7 +20,7 @@ from baselines.controller import LawKernel
 from baselines.estimation.observer import Noise, ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
-from baselines.models.linear import LinearArms, linear_arm
+from baselines.models.linear import LinearArm, linear_arm
 from baselines.models.ramps import move_of
 from baselines.optimal.observer_feedback import ADDED, FeedbackLaw, ObserverController, ObserverMemory
 from baselines.planning.plan import (
@@ -74,7 +74,7 @@ class PreviewDesign(NamedTuple):
     """What the law for one arm knows."""
 
     observer: ObserverDesign
-    model: LinearArms  # of this one arm
+    model: LinearArm
     weights: Weights
     friction: SmoothCompensation
 

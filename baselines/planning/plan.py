@@ -24,12 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
+from baselines.models.linear import LinearArm, between, linear_arm_of, place, turning_load
 from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
-from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.engine.threads import each_in_threads
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
@@ -53,12 +53,12 @@ class Problem(NamedTuple):
     move: MoveShape
     plant: Plant
     left: float  # torque that the limit leaves beside friction [N m]
-    model: LinearArms  # of this one arm
+    model: LinearArm
     weights: Weights
 
 
 @inlined
-def problem_of(move: MoveShape, row: Floats, model: LinearArms, weights: Weights) -> Problem:
+def problem_of(move: MoveShape, row: Floats, model: LinearArm, weights: Weights) -> Problem:
     """Problem of an arm with a row of constants, shape (len(FIELDS),), and their linear model."""
     plant = plant_of(row)
     friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
@@ -124,7 +124,7 @@ def plan_backwards(problem: Problem, to_go: CostToGo, first: int, last: int, row
 
 
 @compiled
-def plan_move(move: MoveShape, row: Floats, model: LinearArms, weights: Weights, first: int, rows: Floats) -> None:
+def plan_move(move: MoveShape, row: Floats, model: LinearArm, weights: Weights, first: int, rows: Floats) -> None:
     """Plan a move of an arm at once, from a sample on; arguments as of `problem_of` and `plan_backwards`."""
     plan_backwards(problem_of(move, row, model, weights), no_cost(5), first, len(rows), rows)
 
@@ -168,8 +168,8 @@ def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floa
         weights: Of the errors and of the torque.
         first: Sample.
     """
-    rows, model = np.zeros((EPISODE_STEPS, PLAN_COLUMNS)), LinearArms(*(part[0] for part in linear_arms(row[None])))
-    plan_move(MoveShape(*map(float, move)), row, model, weights, first, rows)
+    rows = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+    plan_move(MoveShape(*map(float, move)), row, linear_arm_of(row), weights, first, rows)
     return rows
 
 
@@ -186,17 +186,10 @@ def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -
     return merged
 
 
-@compiled
-def _steps_of_plans(time: Floats) -> Integers:
-    steps = np.empty(len(time), np.intp)
-    for i in range(len(time)):
-        steps[i], _ = step_of_plan(time[i])
-    return steps
-
-
 def rows_at(plans: Plans, time: Floats) -> Floats:
     """Rows of n plans before and after their times [samples], shape (n, 2, 10)."""
-    return np.array([plan[k : k + 2] for plan, k in zip(plans, _steps_of_plans(time).tolist(), strict=True)])
+    steps = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)  # see `step_of_plan`
+    return np.array([plan[k : k + 2] for plan, k in zip(plans, steps.tolist(), strict=True)])
 
 
 @compiled

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import ANGLES, LinearArms, write_linear_arm
+from baselines.models.linear import LinearArm, empty_linear_arm, write_linear_arm
 from baselines.planning.norm_optimal import (
     Prices,
     Sample,
@@ -65,15 +65,13 @@ class Start(NamedTuple):
 class PlanRoom(NamedTuple):
     """Room for making the plan of one arm; what it holds between two calls does not matter."""
 
-    model: LinearArms  # of the arm, without the axis of n arms
+    model: LinearArm  # of the arm
     steps: Floats  # law of a step of improvement in each sample, and then what it changes; shape (1200, 6)
 
 
 def plan_room() -> PlanRoom:
     """Room for making a plan."""
-    size = len(ANGLES)
-    model = LinearArms(np.zeros((size, 4, 4)), np.zeros((size, 4)), np.zeros((size, 4)))
-    return PlanRoom(model, np.zeros((EPISODE_STEPS, 6)))
+    return PlanRoom(empty_linear_arm(), np.zeros((EPISODE_STEPS, 6)))
 
 
 @inlined

@@ -17,7 +17,7 @@ from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.gains import tuned
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
 from baselines.registry import WITH_ACCELEROMETER
@@ -134,7 +134,7 @@ class TestMeasurementEquation:
 def test_gains_are_those_of_a_filter_that_also_keeps_the_state_before():
     """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
     k, params, spread = 20, design_model(), (SPREAD, 3 * SPREAD)
-    arm, slopes = LinearArms(*(part[k] for part in linear_arm(params))), acceleration_slopes(ANGLES[k], params.plant())
+    arm, slopes = linear_arm(params).at(k), acceleration_slopes(ANGLES[k], params.plant())
     single, process = np.eye(5), np.zeros((5, 5))
     single[:4, :4], single[:4, 4] = arm.transition, arm.by_torque
     for by_noise, deviation in ((arm.by_torque, 5e-3), (arm.by_acceleration, 0.3)):
