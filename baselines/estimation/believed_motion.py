@@ -12,24 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import mean_acceleration
-from baselines.estimation.believed_arm import (
-    DELAY,
-    DIFFERENCED,
-    DISTURBANCE,
-    ERROR_SINE,
-    LAG,
-    LOGS,
-    ORDERS,
-    REACH,
-    SIZE,
-    STEPS,
-    believe,
-    believe_entry,
-    constants_of,
-    take,
-    write_ripple,
-)
+from baselines.estimation.believed_arm import believe, believe_entry, constants_of, take, write_ripple
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
@@ -82,10 +67,10 @@ class Simulation(NamedTuple):
 
 def simulation_room(size: int, threads: tuple[int, ...] = ()) -> Simulation:
     """Room for simulations of arms of which z has `size` entries; of several threads, as the first axis."""
-    shapes, fields = 2 * len(ORDERS), len(FIELDS)
+    shapes, fields = 2 * len(z_at.ORDERS), len(FIELDS)
     rows = (_ROWS, _ROWS, REAL_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
     room = Simulation._make(np.zeros((*threads, count * LANES)) for count in rows)
-    return room if size > SIZE else room._replace(velocities=np.zeros((*threads, 2)))
+    return room if size > z_at.SIZE else room._replace(velocities=np.zeros((*threads, 2)))
 
 
 @compiled
@@ -126,8 +111,8 @@ def load_commands(block: Floats, commands: Floats, held: int) -> None:
     """
     for lane in range(len(commands)):
         late = int(block[_WHOLE * LANES + lane]) - held
-        torque, stays = commands[lane, max(late + 1 + REACH, 0)], block[_STAYS * LANES + lane]
-        for k in range(REACH, 1, -1):
+        torque, stays = commands[lane, max(late + 1 + z_at.REACH, 0)], block[_STAYS * LANES + lane]
+        for k in range(z_at.REACH, 1, -1):
             command = commands[lane, max(late + k, 0)]
             torque = command + stays * (torque - command)
         command = commands[lane, max(late + 1, 0)]
@@ -140,7 +125,7 @@ def load_commands(block: Floats, commands: Floats, held: int) -> None:
 def load_torques(block: Floats, arms: int, z: Floats, ripple: Floats, actions: Floats) -> None:
     """Add d and ripple to the torques of lanes, and write their actions."""
     for lane in range(arms):
-        unexplained = z[DISTURBANCE * LANES + lane] + ripple[lane]
+        unexplained = z[z_at.DISTURBANCE * LANES + lane] + ripple[lane]
         block[at.TORQUE * LANES + lane] = block[_PAST * LANES + lane] + unexplained
         block[at.TARGETS * LANES + lane] = block[_BEFORE * LANES + lane] + unexplained
         command = block[_COMMAND * LANES + lane] + unexplained
@@ -191,19 +176,19 @@ def load_copy(
     _copy(room.loaded, block, arms, at.STEP, at.STEP + 1)
     _copy(room.loaded, block, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
     _copy(room.loaded, block, arms, at.DRIVEN, _ROWS)
-    entry = k - 1 if k <= DIFFERENCED else ERROR_SINE + k - 1 - DIFFERENCED
+    entry = k - 1 if k <= z_at.DIFFERENCED else z_at.ERROR_SINE + k - 1 - z_at.DIFFERENCED
     for lane in range(arms if k > 0 else 0):
-        z[entry * LANES + lane] += STEPS[k - 1]
+        z[entry * LANES + lane] += z_at.STEPS[k - 1]
     if 1 <= k <= 4:
         for lane in range(arms):
             block[(at.STATE + entry) * LANES + lane] = z[entry * LANES + lane]
     if 1 <= k <= 2:  # angle and speed
         write_ripple(z, z, arms, room.other_shapes, room.other_ripple)
         ripple = room.other_ripple
-    if k > LOGS.start and entry != DISTURBANCE:
+    if k > z_at.LOGS.start and entry != z_at.DISTURBANCE:
         _copy(room.constants, room.perturbed, arms, 0, len(FIELDS))
         believe_entry(z, entry, arms, nominal, room.perturbed)
-        if entry == DELAY or entry == LAG:
+        if entry == z_at.DELAY or entry == z_at.LAG:
             _load_delays(block, arms, room.perturbed)
             load_commands(block, commands, 0)
         else:
@@ -282,6 +267,6 @@ def simulate(
                     _put_acceleration(block, lane, room.velocities, result, arm, k)
                     for i in range(4 if k == 0 else 0):
                         state = block[(at.STATE + i) * LANES + lane]
-                        block[(at.STATE + i) * LANES + lane] = state + STEPS[i]
+                        block[(at.STATE + i) * LANES + lane] = state + z_at.STEPS[i]
                         _put_acceleration(block, lane, room.velocities, result, arm, simulations + i)
                         block[(at.STATE + i) * LANES + lane] = state

@@ -7,20 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import AXES
-from baselines.estimation.believed_arm import (
-    ACCELEROMETER_SIZE,
-    DELAY,
-    DIFFERENCED,
-    DISTURBANCE,
-    IDENTIFIED,
-    LAG,
-    LOGS,
-    ORDERS,
-    SHORTEST,
-    SIZE,
-    nominal_row,
-)
+from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.believed_motion import Simulation, simulation_room
 from baselines.models.linear import linear_arm_of
 from baselines.reading import Reading, Sample
@@ -34,7 +23,7 @@ PART = 0.2
 """Mass that is believed of a part before it moves [kg]. Below the mean of `task.ranges.PART_MASS`: a plan for too light
 a part costs less than one for too heavy a part (development arms, loaded moves: 302 at 0.2, 309 at the mean, 0.275)."""
 _ARM_DOUBT = 0.55  # of ln S without a part, over `Uncertainty.swing`: 0.12, that of its training range
-_FRICTION = LOGS.start + IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
+_FRICTION = z_at.LOGS.start + z_at.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
 _PART_DOUBT = 0.75  # [kg] of a part's mass, likewise: 0.16 kg; from 0.13 to 0.20 kg costs differ by 0.2 %
 
 
@@ -68,11 +57,11 @@ class Uncertainty:
         """Initial covariance of z, (ACCELEROMETER_SIZE,) * 2, at rest; without that of the angle, the encoder's."""
         constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
         drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.giving]
-        ripple = [self.ripple] * (2 * len(ORDERS))
+        ripple = [self.ripple] * (2 * len(z_at.ORDERS))
         accelerometer = [self.kinematic_error] * 2 + [ZERO_G / 3**0.5] * AXES
         deviations = [0.0, 0.0, 1e-4, 1e-4, *constants, *drive, self.disturbance, *ripple, *accelerometer]
         result = np.diag(np.square(deviations))
-        result[LOGS, LOGS] += self.torque_constant**2
+        result[z_at.LOGS, z_at.LOGS] += self.torque_constant**2
         return result
 
     @property
@@ -82,10 +71,10 @@ class Uncertainty:
 
     def growth(self) -> Floats:
         """Variance that each entry of z gains in a sample, but for x: shape (ACCELEROMETER_SIZE,)."""
-        result = np.zeros(ACCELEROMETER_SIZE)
-        result[LOGS.start : DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
+        result = np.zeros(z_at.ACCELEROMETER_SIZE)
+        result[z_at.LOGS.start : z_at.DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
         result[_FRICTION : _FRICTION + 2] += self.friction_drift**2 * CONTROL_PERIOD
-        result[DISTURBANCE] = (1 - self.decay**2) * self.disturbance**2
+        result[z_at.DISTURBANCE] = (1 - self.decay**2) * self.disturbance**2
         return result
 
 
@@ -167,8 +156,8 @@ class Room(NamedTuple):
 
 def room_for(count: int, accelerometer: bool = False, threads: tuple[int, ...] = ()) -> Room:
     """Room for the filters of `count` arms, at most `ARMS`; of several threads, as the first axis of all arrays."""
-    size, axes = (ACCELEROMETER_SIZE, AXES) if accelerometer else (SIZE, 0)
-    simulations = 1 + DIFFERENCED + (2 + 4 if accelerometer else 0)
+    size, axes = (z_at.ACCELEROMETER_SIZE, AXES) if accelerometer else (z_at.SIZE, 0)
+    simulations = 1 + z_at.DIFFERENCED + (2 + 4 if accelerometer else 0)
     shapes: tuple[tuple[int, ...], ...] = (
         *((count, 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
         *((size + axes,), (size + axes,), (count,)),
@@ -187,10 +176,10 @@ def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bo
     """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`."""
     nominal = nominal_row(params)
     arm = linear_arm_of(nominal)
-    size = ACCELEROMETER_SIZE if accelerometer else SIZE
+    size = z_at.ACCELEROMETER_SIZE if accelerometer else z_at.SIZE
     mean = np.zeros(size)
-    mean[LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
-    mean[DELAY] = mean[LAG] + params.command_latency / CONTROL_PERIOD
+    mean[z_at.LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, z_at.SHORTEST)
+    mean[z_at.DELAY] = mean[z_at.LAG] + params.command_latency / CONTROL_PERIOD
     swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
     return Design(
         nominal=nominal,
