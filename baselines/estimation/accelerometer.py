@@ -102,8 +102,7 @@ def mean_accelerations(before: Floats, after: Floats, plant: Plant) -> Floats:
     """Mean accelerations along and across the hand [m/s^2], shape (n, AXES), from x to x, both of shape (n, 4)."""
     result = np.empty((len(after), AXES))
     for i in range(len(after)):
-        x = ArmState(before[i, 0], before[i, 1], before[i, 2], before[i, 3])
-        y = ArmState(after[i, 0], after[i, 1], after[i, 2], after[i, 3])
+        x, y = ArmState._make(before[i, k] for k in range(4)), ArmState._make(after[i, k] for k in range(4))
         result[i, 0], result[i, 1] = mean_acceleration(tip_motion(x, plant), y, plant, None)
     return result
 

@@ -95,12 +95,7 @@ def _cost(rows: Floats, steps: Floats, first: int, share: float, problem: Proble
     """Sum up what the task charges from a sample on, a share of a step along."""
     total, errors = 0.0, np.empty(4)
     for k in range(len(rows) - 2, first - 1, -1):
-        x = ArmState(
-            rows[k + 1, 0] + share * steps[k, 0],
-            rows[k + 1, 1] + share * steps[k, 1],
-            rows[k + 1, 2] + share * steps[k, 2],
-            rows[k + 1, 3] + share * steps[k, 3],
-        )
+        x = ArmState._make(rows[k + 1, i] + share * steps[k, i] for i in range(4))
         _write_errors(x, reference_of(problem, k + 1), problem.plant, errors)
         before = rows[k - 1, TORQUE] + (share * steps[k - 1, _CHANGE] if k > first else 0.0)
         total += _charge(errors, rows[k, TORQUE] + share * steps[k, _CHANGE] - before, problem.plant)
@@ -155,7 +150,7 @@ def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, sample: Sa
         now, torque = reference_of(problem, k), rows[k, TORQUE]
         set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
         write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, sample.of_state)
-        x = ArmState(rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2], rows[k + 1, 3])
+        x = ArmState._make(rows[k + 1, i] for i in range(4))
         _write_errors(x, after, plant, errors)
         jump = torque - rows[k - 1, TORQUE]
         total += _charge(errors, jump, plant)

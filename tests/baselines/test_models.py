@@ -15,8 +15,8 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from baselines.models import friction as dry
 from baselines.models.flatness import CORNERS, flat_point, link_motion, write_corners
-from baselines.models.friction import commanded_direction, dry_friction, friction_level, smooth_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.models.rigid_arm import rigid_torque
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
@@ -91,22 +91,25 @@ def test_computed_torque_makes_the_rigid_arm_accelerate_as_wanted(angle: float):
 
 class TestFriction:
     def test_level_falls_from_breakaway_to_coulomb_friction(self):
-        friction = dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
-        actual = [friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
+        friction = dry.dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
+        actual = [dry.friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
         np.testing.assert_allclose(actual, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
 
     def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
         motions = (0.0, 0.0), (0.0, 0.01), (0.0, -9.0), (0.5, 0.0), (9.0, -0.01), (0.5, -0.01), (-9.0, 0.0)
-        actual = [smooth_direction(speed, torque, 1.0, 0.02) for speed, torque in motions]
+        of = dry.SmoothCompensation(dry.dry_friction(ArmParams(coulomb_friction=1.0).row()), 1.0, 1.0, 0.02)
+        actual = [dry.smooth_friction(of, speed, torque) for speed, torque in motions]
         np.testing.assert_allclose(actual, [0, 0.5, -1, 0.5, 1, 0, -1])
 
     def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
+        of = dry.Compensation(dry.dry_friction(ArmParams().row()), 1.0, 0.01)
         for speed, acceleration, push, expected in (
             *((2.0, 0.0, -9.0, 1), (-0.1, 0.0, 9.0, -1), (0.0, 5.0, -9.0, 1), (0.0, 0.0, 9.0, 1)),
             *((0.0, 0.0, -0.005, -0.5), (1e-16, 0.0, 0.0, 0)),  # which rests, but for rounding
         ):
-            actual = commanded_direction(Reference(0.0, speed, acceleration), push, 0.01)
-            assert actual == pytest.approx(expected, rel=1e-7)
+            assert dry.compensated(Reference(0.0, speed, acceleration), push, GEAR, of)[1] == pytest.approx(
+                expected, rel=1e-7
+            )
 
 
 UNDAMPED = ArmParams(belt_damping_ratio=0.0)
