@@ -173,6 +173,5 @@ def test_arms_that_leave_the_workspace_keep_what_they_knew():
 
 
 def test_what_does_not_fit_is_refused():
-    of_two = IterativeController(np.zeros((2, EPISODE_STEPS)))
-    refused(ValueError, ("2 arms", "3"), lambda: rollout(of_two, 3, seed=SEED))
+    refused(ValueError, ("2 arms", "3"), lambda: rollout(IterativeController(np.zeros((2, 1))), 3, seed=SEED))
     refused(ValueError, ("1200", "0"), IterativeController().following)

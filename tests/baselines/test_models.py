@@ -107,9 +107,8 @@ class TestFriction:
             *((2.0, 0.0, -9.0, 1), (-0.1, 0.0, 9.0, -1), (0.0, 5.0, -9.0, 1), (0.0, 0.0, 9.0, 1)),
             *((0.0, 0.0, -0.005, -0.5), (1e-16, 0.0, 0.0, 0)),  # which rests, but for rounding
         ):
-            assert dry.compensated(Reference(0.0, speed, acceleration), push, GEAR, of)[1] == pytest.approx(
-                expected, rel=1e-7
-            )
+            _, actual = dry.compensated(Reference(0.0, speed, acceleration), push, GEAR, of)
+            assert actual == pytest.approx(expected, rel=1e-7)
 
 
 UNDAMPED = ArmParams(belt_damping_ratio=0.0)
