@@ -13,7 +13,7 @@ the commands given before: `estimate`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class Belief(NamedTuple):
     """Current estimate of m arms, their drives and their encoders."""
 
     tracks: Tracks  # the filters
-    count: Floats  # the encoder's resolution [rad], shape (m,); 0 before it has moved
+    counts: Floats  # the encoder's resolution [rad], shape (m,); 0 before it has moved
     angle: Floats  # last measured [rad], shape (m,)
     commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
     deflection: Floats  # of the motor that sticks [rad], shape (m,); `friction.SLIPS`, in its direction, if it slides
@@ -113,7 +113,7 @@ def begin(design: Design, inputs: Inputs, belief: Belief) -> None:
         if inputs.begins[arm]:
             belief.tracks.holds[arm] = inputs.holds[arm]
             begin_track(design, belief.tracks, arm, inputs.angle[arm], COARSEST)
-            belief.count[arm], belief.angle[arm], belief.deflection[arm] = 0.0, inputs.angle[arm], 0.0
+            belief.counts[arm], belief.angle[arm], belief.deflection[arm] = 0.0, inputs.angle[arm], 0.0
             belief.commands[arm, :] = 0.0
 
 
@@ -125,11 +125,11 @@ def _note(design: Design, inputs: Inputs, belief: Belief, room: Room) -> bool:
     for arm in range(len(inputs.begins)):
         if not inputs.begins[arm]:
             going += 1
-            belief.count[arm] = common_count(belief.count[arm], abs(inputs.angle[arm] - belief.angle[arm]))
+            belief.counts[arm] = common_count(belief.counts[arm], abs(inputs.angle[arm] - belief.angle[arm]))
             for k in range(HISTORY - 1, 0, -1):
                 belief.commands[arm, k] = belief.commands[arm, k - 1]
             belief.commands[arm, 0] = inputs.command[arm]
-        count = belief.count[arm]
+        count = belief.counts[arm]
         room.resolution[arm] = max(count, QUANTUM) if count > 0.0 else COARSEST
     return going > 0
 
@@ -162,7 +162,7 @@ def _some(belief: Belief, low: int, high: int) -> Belief:
 
 
 @compiled
-def _copy(old: Belief, new: Belief) -> None:
+def _copy(old: Belief, new: Any) -> None:
     for k, part in enumerate(old.tracks):
         new.tracks[k][:] = part
     for k, part in enumerate(old[1:]):
@@ -288,8 +288,8 @@ class ArmIdentifier:
 
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
-        result = empty_estimate(len(belief.count))
-        rooms, taken = self._shared(len(belief.count))
+        result = empty_estimate(len(belief.counts))
+        rooms, taken = self._shared(len(belief.counts))
         in_threads(_estimate_all, len(taken), self.design, belief, result, taken, rooms)
         return result
 

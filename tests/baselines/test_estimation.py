@@ -235,7 +235,7 @@ class TestIdentification:
         env = batch(24, randomization="train", delay=delay, encoder_counts=counts)
         belief = believed_after(AdaptiveController(params=nominal), env, 150)
         assert np.sqrt(np.mean((belief.tracks.mean[:, DELAY] - true_delays(env) - delay) ** 2)) < 0.2
-        np.testing.assert_allclose(belief.count, 2 * np.pi / counts, rtol=0.05)
+        np.testing.assert_allclose(belief.counts, 2 * np.pi / counts, rtol=0.05)
 
 
 class TestParts:
