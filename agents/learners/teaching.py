@@ -33,7 +33,7 @@ import numpy as np
 import torch
 
 from agents.residual.controller import Policy, ResidualSettings
-from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
+from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -137,7 +137,7 @@ def best_changes(
         changed = np.diff(torque, prepend=before[i])
         weights = norm_weights(about.errors, changed, limit, _EFFORT, _SOFT)
         weights = weights._replace(smoothness=price * weights.smoothness)
-        change, _, curvature = curved_change(about, weights, torque)
+        change, _, curvature = optimal_change(about, weights, torque)
         changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
     return changes, curvatures
 

@@ -23,8 +23,7 @@ from agents.residual.knowledge import (
     write_belief,
     write_torque,
 )
-from baselines.estimation.identification import ArmIdentifier
-from baselines.estimation.identify import Notes
+from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.reading import Sample
 from beltarm_env import observation as layout
 from beltarm_env.arrays import Floats, Singles
@@ -67,7 +66,7 @@ def correct(
     observation: Singles,
     action: float,
     now: Sample,
-    notes: Notes | None,
+    belief: Belief | None,
     begins: bool,
     memory: CorrectionMemory,
 ) -> float:
@@ -78,23 +77,23 @@ def correct(
         observation: Of the environment, shape (size,).
         action: Of the base: its torque over the limit, cut and in single precision.
         now: What is measured.
-        notes: What is believed at this sample; None if the agent observes no belief.
+        belief: What is believed at this sample; None if the agent observes no belief.
         begins: Whether an episode begins.
         memory: Written.
     """
     if begins:
         memory.age[0] = 0
         memory.recurrent[:] = 0.0
-    if notes is not None:
-        push_unexplained(notes, 0, begins, memory.unexplained)
+    if belief is not None:
+        push_unexplained(belief, 0, begins, memory.unexplained)
     if memory.age[0] % design.hold == 0:
         size = len(observation)
         for k in range(size):
             memory.seen[k] = observation[k]
         extra = memory.seen[size:]
         write_torque(design.entries, action, extra)
-        if notes is not None:
-            write_belief(design.entries, now, notes, 0, memory.unexplained, extra)
+        if belief is not None:
+            write_belief(design.entries, now, belief, 0, memory.unexplained, extra)
         for k in range(len(design.columns)):
             memory.inputs[0, k] = memory.seen[design.columns[k]]
         evaluate(design.network, memory.inputs, memory.recurrent, memory.layers, memory.residual)

@@ -23,7 +23,6 @@ from gymnasium import spaces
 
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS
 from baselines.estimation.identification import Belief, IdentifyingController
-from baselines.estimation.identify import Notes
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, Sample, beginning, read, sample_of
 from beltarm_env import ArmParams, design_model
@@ -118,9 +117,11 @@ def write_torque(entries: ExtraEntries, action: float, extra: Singles) -> None:
 
 
 @compiled
-def write_belief(entries: ExtraEntries, now: Sample, notes: Notes, i: int, unexplained: Floats, extra: Singles) -> None:
+def write_belief(
+    entries: ExtraEntries, now: Sample, belief: Belief, i: int, unexplained: Floats, extra: Singles
+) -> None:
     """Write the entries of the belief about arm i, see `ENTRIES`; `unexplained` is that of `push_unexplained`."""
-    tracks, plant = notes.tracks, entries.plant
+    tracks, plant = belief.tracks, entries.plant
     z = tracks.mean[i]
     x = ArmState(z[0], z[1], z[2], z[3])
     error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
@@ -139,15 +140,15 @@ def write_belief(entries: ExtraEntries, now: Sample, notes: Notes, i: int, unexp
     for k in range(RECENT):
         _write(extra, _UNEXPLAINED_AT + k, unexplained[k], entries)
     for k in range(RECENT - 1):
-        _write(extra, _COMMANDS_AT + k, notes.commands[i, 1 + k] / plant.torque_limit, entries)
+        _write(extra, _COMMANDS_AT + k, belief.commands[i, 1 + k] / plant.torque_limit, entries)
 
 
 @inlined
-def push_unexplained(notes: Notes, i: int, begins: bool, unexplained: Floats) -> None:
+def push_unexplained(belief: Belief, i: int, begins: bool, unexplained: Floats) -> None:
     """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
     for k in range(RECENT - 1, 0, -1):
         unexplained[k] = 0.0 if begins else unexplained[k - 1]
-    unexplained[0] = notes.angle[i] - notes.tracks.mean[i, 0]
+    unexplained[0] = belief.angle[i] - belief.tracks.mean[i, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +217,7 @@ class InformedBase:
             belief = self.identifier.update(memory.belief if memory else None, reading, begins)
         before = memory.unexplained if memory else None
         unexplained = np.zeros((len(begins), RECENT)) if before is None else before.copy()
-        _push_all(belief.notes, begins, unexplained)
+        _push_all(belief, begins, unexplained)
         return InformedMemory(base, action, reading, belief, unexplained)
 
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
@@ -224,15 +225,14 @@ class InformedBase:
         count, size = observation.shape
         result = np.empty((count, size + len(ENTRIES[self.knowledge])), np.float32)
         result[:, :size] = observation
-        notes = None if memory.belief is None else memory.belief.notes
-        _write_extra(self.entries, memory.action, memory.reading, notes, memory.unexplained, result[:, size:])
+        _write_extra(self.entries, memory.action, memory.reading, memory.belief, memory.unexplained, result[:, size:])
         return result
 
 
 @compiled
-def _push_all(notes: Notes, begins: Flags, unexplained: Floats) -> None:
+def _push_all(belief: Belief, begins: Flags, unexplained: Floats) -> None:
     for i in range(len(begins)):
-        push_unexplained(notes, i, begins[i], unexplained[i])
+        push_unexplained(belief, i, begins[i], unexplained[i])
 
 
 @compiled
@@ -240,11 +240,11 @@ def _write_extra(
     entries: ExtraEntries,
     actions: Singles,
     reading: Reading | None,
-    notes: Notes | None,
+    belief: Belief | None,
     unexplained: Floats | None,
     extra: Singles,
 ) -> None:
     for i in range(len(extra)):
         write_torque(entries, actions[i, 0], extra[i])
-        if reading is not None and notes is not None and unexplained is not None:
-            write_belief(entries, sample_of(reading, i), notes, i, unexplained[i], extra[i])
+        if reading is not None and belief is not None and unexplained is not None:
+            write_belief(entries, sample_of(reading, i), belief, i, unexplained[i], extra[i])

@@ -1,4 +1,4 @@
-"""What an accelerometer on the arm's end tells a filter: its measurement equation.
+"""What an accelerometer on the arm's end tells a filter, and the observer that reads it beside the encoder.
 
 The sensor low-passes, from one reading a[k] to the next by the factor lambda (`beltarm_env.task.accelerometer`). Known,
 the low-pass is undone without a state of its own:
@@ -9,26 +9,65 @@ where v is the velocity of the end (`beltarm_env.physics.kinematics`), R turns i
 output and n white noise but for a correlation of lambda / (1 + lambda^2) = 0.09 with its neighbours. Left out: between
 two samples the hand turns by about a milliradian. m is a function of the states at both ends of a sample, those that
 a filter's prediction begins and ends with.
+
+`AccelerometerObserver` is `baselines.estimation.observer` with these two readings more in its correction,
+
+    [x; d] = [x^-; d] + L (y - h),     y = [theta_a; m - b],     h = [x^-_1; R (v(x^-) - v(x)) / T]
+
+where x is the estimate of a sample before, and b the zero-g output: the first reading of an episode, at rest. With the
+linear arm z[k+1] = F z[k] + w, z = [x; d], all readings of a sample are those of the state before it,
+
+    y[k+1] = (C F - B) z[k] + C w + n,     C = [e_1; dv/dx / T],     B = [0; dv/dx / T]
+
+so that L is the steady-state gain of a one-step predictor whose process and measurement noise are correlated by C (by
+the discrete algebraic Riccati equation; B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979, sec. 5.4).
+
+The kinematic error of the joint, which the design model does not have, shows across the hand: an acceleration of
+amplitude 4 e omega_a^2 times the reach, at twice the motor's frequency. It counts as noise of that size, so that L
+depends on the motor's speed. While the motor sticks, L is that of an arm behind a motor without end: now the torsion is
+corrected there too.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from baselines.estimation.observer import (
+    AT_REST,
+    LARGEST,
+    LARGEST_TORQUE,
+    QUANTUM,
+    SLIDES,
+    Estimate,
+    Noise,
+    StickSlipObserver,
+    with_disturbance,
+)
+from baselines.models.linear import ANGLES, LinearArm, at_angle, linear_arm
+from baselines.reading import Reading
+from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Floats
-from beltarm_env.engine import inlined
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
 from beltarm_env.physics.state import ArmState
+from beltarm_env.simulation import X
 from beltarm_env.task.accelerometer import DECAY, NOISE, RANGE, along_and_across
-from beltarm_env.timing import CONTROL_PERIOD
 
 AXES = 2
 """Readings of a sample: along the hand and across it."""
 SPREAD = NOISE * float(np.hypot(1.0, DECAY)) / (1 - DECAY)
 """Standard deviation of n [m/s^2]."""
 _CUT = 0.99 * RANGE  # a reading beyond it tells no acceleration
+_SPEEDS = np.array([0.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # of the motor, of the gains' tables [rad/s]
+_ERROR = 1.2e-4  # kinematic error, its sine's and its cosine's standard deviation [rad]
+_HELD = 1e6  # times its inertia: a motor without end
+_SMALL = np.array([1e-4, 1e-3, 1e-6, 1e-4])  # differences of x
 
 
 @inlined
@@ -41,14 +80,115 @@ def mean_acceleration(before: TipMotion, x: ArmState, plant: Plant, drive: Drive
 
 
 def unfiltered(now: Floats, before: Floats) -> tuple[Floats, Floats]:
-    """Undo the sensor's low-pass.
-
-    Args:
-        now: Readings a[k] [m/s^2], shape (n, AXES).
-        before: Those of a sample before.
+    """Undo the sensor's low-pass, of readings a[k] and those of a sample before [m/s^2], shape (n, AXES).
 
     Returns:
-        m[k] [m/s^2] and the variances of its noise, both of shape (AXES, n); one that is cut off tells nothing.
+        m[k] [m/s^2] and the variances of its noise, of the same shape; one that is cut off tells nothing.
     """
     cut = np.maximum(np.abs(now), np.abs(before)) > _CUT
-    return ((now - DECAY * before) / (1 - DECAY)).T, np.where(cut, 1e6, SPREAD**2).T
+    return (now - DECAY * before) / (1 - DECAY), np.where(cut, 1e6, SPREAD**2)
+
+
+@dataclass(frozen=True)
+class AccelerometerEstimate(Estimate):
+    """Estimated states of n arms, and the readings of their accelerometers."""
+
+    acceleration: Floats  # last readings [m/s^2], shape (n, AXES)
+    bias: Floats  # zero-g outputs [m/s^2], shape (n, AXES)
+
+
+@compiled
+def mean_accelerations(before: Floats, after: Floats, plant: Plant) -> Floats:
+    """Mean accelerations along and across the hand [m/s^2], shape (n, AXES), from x to x, both of shape (n, 4)."""
+    result = np.empty((len(after), AXES))
+    for i in range(len(after)):
+        x, y = ArmState._make(before[i, k] for k in range(4)), ArmState._make(after[i, k] for k in range(4))
+        result[i, 0], result[i, 1] = mean_acceleration(tip_motion(x, plant), y, plant, None)
+    return result
+
+
+def acceleration_slopes(angle: float, plant: Plant) -> Floats:
+    """Derivatives of the readings by x at a sample's end, of an arm at rest at an angle [rad]: shape (AXES, 4)."""
+    at_rest = np.tile([angle * plant.gear, 0.0, 0.0, 0.0], (4, 1))
+    up, down = (mean_accelerations(at_rest, at_rest + side * np.diag(_SMALL), plant) for side in (1, -1))
+    return (up - down).T / (2 * _SMALL)
+
+
+def steady_accelerometer_gain(
+    arm: LinearArm, slopes: Floats, noise: Noise, decay: float, spread: tuple[float, float]
+) -> Floats:
+    """Steady-state gain L, shape (5, 1 + AXES), of one linear arm at one angle.
+
+    Args:
+        arm: The linear arm.
+        slopes: dv/dx / T, shape (AXES, 4).
+        noise: Of the process.
+        decay: Share of d that is left after a sample.
+        spread: Standard deviations of the readings along and across the hand [m/s^2].
+    """
+    transition, process = with_disturbance(arm, noise.torque, noise.acceleration, decay)
+    process[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
+    ends = np.zeros((1 + AXES, 5))
+    ends[0, 0], ends[1:, :4] = 1.0, slopes
+    begins = ends.copy()
+    begins[0] = 0.0
+    seen, shared = ends @ transition - begins, process @ ends.T
+    measured = ends @ shared + np.diag([QUANTUM**2 / 12, *np.square(spread)])
+    before = solve_discrete_are(transition.T, seen.T, process, measured, s=shared)
+    return (transition @ before @ seen.T + shared) @ np.linalg.inv(seen @ before @ seen.T + measured)
+
+
+@lru_cache(maxsize=8)
+def accelerometer_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats]:
+    """Gains L at each of `ANGLES`: of a motor that slides, at each of `_SPEEDS`, and of one that sticks."""
+    plant, reach = params.plant(), 2 * params.link_length + params.hand_length
+    moving, held = (linear_arm(of) for of in (params, replace(params, motor_inertia=_HELD * params.motor_inertia)))
+    slides, sticks = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
+    for k, angle in enumerate(ANGLES):
+        slopes = acceleration_slopes(angle, plant)
+        arm = moving.at(k)
+        for j, speed in enumerate(_SPEEDS):
+            across = float(np.hypot(SPREAD, reach * 4 * _ERROR * speed**2))
+            slides[k, j] = steady_accelerometer_gain(arm, slopes, noise, 1.0, (SPREAD, across))
+        rest = held.at(k)
+        sticks[k] = steady_accelerometer_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
+    sticks[:, [0, 1, 4]] = sticks[:, :, 0] = 0.0
+    sticks[:, 0, 0] = AT_REST
+    return slides, sticks
+
+
+class AccelerometerObserver(StickSlipObserver):
+    """Kalman filter for arms with design parameters `params` and an accelerometer on their ends."""
+
+    def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
+        super().__init__(params, noise)
+        self._plant = params.plant()
+        self._slides, self._sticks = accelerometer_gains(params, noise or Noise())
+
+    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> AccelerometerEstimate:
+        """Bring the estimate up to this sample, see `StickSlipObserver`."""
+        assert reading.acceleration is not None
+        found = super().update(estimate, reading, begins)
+        first = estimate.bias if isinstance(estimate, AccelerometerEstimate) else reading.acceleration
+        bias = np.where(begins[:, None], reading.acceleration, first)
+        return AccelerometerEstimate(
+            found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias
+        )
+
+    def _correct(self, estimate: Estimate, reading: Reading, states: Floats, disturbances: Floats) -> None:
+        """Correct predicted states, see `StickSlipObserver`."""
+        assert isinstance(estimate, AccelerometerEstimate) and reading.acceleration is not None
+        off, angle = reading.motor_angle - states[:, 0], states[:, 0] / self.params.gear_ratio
+        readings, variance = unfiltered(reading.acceleration, estimate.acceleration)
+        acceleration = readings - estimate.bias - mean_accelerations(estimate.state, states[:, :X], self._plant)
+        acceleration[variance > SPREAD**2] = 0.0
+        place = np.interp(np.abs(states[:, 1]), _SPEEDS, np.arange(len(_SPEEDS)))
+        low = np.minimum(place.astype(np.intp), len(_SPEEDS) - 2)
+        tables, rows = at_angle(self._slides, angle), np.arange(len(angle))
+        part = (place - low)[:, None, None]
+        gains = (1 - part) * tables[rows, low] + part * tables[rows, low + 1]
+        rests = (states[:, 1] == 0) & (np.abs(off) <= SLIDES)
+        gains[rests] = at_angle(self._sticks, angle[rests])
+        correction = np.einsum("nij,nj->ni", gains, np.column_stack([off, acceleration]))
+        states[:, :X] = np.clip(states[:, :X] + correction[:, :X], -LARGEST, LARGEST)
+        disturbances[:] = np.clip(estimate.disturbance + correction[:, X], -LARGEST_TORQUE, LARGEST_TORQUE)

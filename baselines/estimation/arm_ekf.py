@@ -53,21 +53,8 @@ begins anew with the nominal constants, and does not listen to the accelerometer
 
 from __future__ import annotations
 
+from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import AXES
-from baselines.estimation.believed_arm import (
-    BIAS,
-    DIFFERENCED,
-    DISTURBANCE,
-    ERROR_SINE,
-    GIVING,
-    HIGHEST,
-    LOGS,
-    LOWEST,
-    ORDERS,
-    RIPPLE,
-    SIZE,
-    STEPS,
-)
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
 from baselines.models.linear import between, place
 from beltarm_env.arm import COLUMN
@@ -84,51 +71,48 @@ _DEAF = 1e6  # W of an accelerometer that is not listened to
 _ROUNDING = 12**0.5  # resolution over the standard deviation of rounding to it
 _LESS_SURE = (1e-4, 1.0, 1e-4, 0.09)  # variances of x of a filter that begins anew
 _AT_ONCE = 5  # rows of the covariance
-_SWING = LOGS.start  # entry of z: ln S
+_SWING = z_at.LOGS.start  # entry of z: ln S
 
 
 @compiled
 def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Floats) -> None:
-    """Write the derivatives by z of x after a sample and of the accelerometer's readings over it, see `_propagate`.
+    """Write the derivatives by z of x after a sample and of the accelerometer's readings over it, shape (rows, size).
 
     Args:
         predicted: As `simulate` writes it, of one arm.
         shapes: Of the ripple, as `simulate` leaves them.
         arm: Which of them.
-        jacobian: Shape (rows, size), written.
+        jacobian: Written.
     """
     rows, size = jacobian.shape
     for i in range(rows):
-        for j in range(DIFFERENCED):
-            jacobian[i, j] = (predicted[i, j + 1] - predicted[i, 0]) / STEPS[j]
-    for k in range(len(ORDERS)):
+        for j in range(z_at.DIFFERENCED):
+            jacobian[i, j] = (predicted[i, j + 1] - predicted[i, 0]) / z_at.STEPS[j]
+    for k in range(len(z_at.ORDERS)):
         sine, cosine = shapes[2 * k * LANES + arm], shapes[(2 * k + 1) * LANES + arm]
         for i in range(rows):
-            jacobian[i, RIPPLE.start + 2 * k] = jacobian[i, DISTURBANCE] * sine
-            jacobian[i, RIPPLE.start + 2 * k + 1] = jacobian[i, DISTURBANCE] * cosine
-    if size > SIZE:
+            jacobian[i, z_at.RIPPLE.start + 2 * k] = jacobian[i, z_at.DISTURBANCE] * sine
+            jacobian[i, z_at.RIPPLE.start + 2 * k + 1] = jacobian[i, z_at.DISTURBANCE] * cosine
+    if size > z_at.SIZE:
         for i in range(rows):
             for j in range(2):
-                k = DIFFERENCED + j
-                jacobian[i, ERROR_SINE + j] = (predicted[i, k + 1] - predicted[i, 0]) / STEPS[k]
+                k = z_at.DIFFERENCED + j
+                jacobian[i, z_at.ERROR_SINE + j] = (predicted[i, k + 1] - predicted[i, 0]) / z_at.STEPS[k]
             for axis in range(AXES):
-                jacobian[i, BIAS + axis] = 1.0 if i == 4 + axis else 0.0
+                jacobian[i, z_at.BIAS + axis] = 1.0 if i == 4 + axis else 0.0
 
 
 @inlined
 def _stays(entry: int) -> bool:
     """Tell whether an entry of z is a constant of which a motor that sticks tells nothing."""
-    return LOGS.start <= entry < SIZE and entry != GIVING
+    return z_at.LOGS.start <= entry < z_at.SIZE and entry != z_at.GIVING
 
 
 @compiled
 def _learn(
     mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, sticks: bool, room: Room
 ) -> None:
-    """Correct mean and covariance by the innovation of one entry and its variance.
-
-    While the motor sticks, the constants but g stay as they are, and so does what is known of them.
-    """
+    """Correct mean and covariance by the innovation of one entry and its variance."""
     row, gain = room.row, room.gain
     width = covariance.shape[1]
     for j in range(width):
@@ -183,13 +167,7 @@ def _propagate(covariance: Floats, decay: float, room: Room) -> None:
     """Turn a covariance into that before the measurement: F P F' + Q.
 
     F is the unit matrix but for its rows of x, of the accelerometer's readings, which come last, and of d; Q is of x
-    and of the readings alone, from what torque and torsional acceleration do to them, each by its standard deviation:
-    `Room.noise`.
-
-    Args:
-        covariance: With an accelerometer, there are AXES more rows and columns, which are written.
-        decay: Share of d that is left.
-        room: With noise and Jacobian; changed.
+    and of the readings alone: `Room.noise`. The rows and columns of the readings are written.
     """
     jacobian, half, noise = room.jacobian, room.half, room.noise
     rows, size = jacobian.shape
@@ -207,22 +185,14 @@ def _propagate(covariance: Floats, decay: float, room: Room) -> None:
         for j in range(4, size):
             covariance[to, j] = covariance[j, to] = half[i, j]
     for i in range(size + rows - 4):
-        covariance[i, DISTURBANCE] *= decay
+        covariance[i, z_at.DISTURBANCE] *= decay
     for j in range(size + rows - 4):
-        covariance[DISTURBANCE, j] *= decay
+        covariance[z_at.DISTURBANCE, j] *= decay
 
 
 @compiled
 def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: bool, noise: Floats) -> None:
-    """Write what the process noise does to x and to the accelerometer's readings.
-
-    Args:
-        design: Of the filter.
-        surprise: w.
-        predicted: As `simulate` writes it, of one arm.
-        sticks: Whether the motor does.
-        noise: Shape (2, rows), written.
-    """
+    """Write what deviations of torque and torsional acceleration do to x and to the readings, shape (2, rows)."""
     doubtful = design.doubtful / (1 + (predicted[1, 0] / design.slow) ** 2)
     torque = (design.torque + doubtful) * max(surprise, 1.0) * (design.sticking if sticks else 1.0)
     row, weight = place(predicted[0, 0] / design.nominal[COLUMN.gear_ratio])
@@ -234,22 +204,14 @@ def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: boo
         noise[0, axis] = noise[1, axis] = 0.0
         for i in range(4):
             after = predicted.shape[1] - 4 + i
-            slope = (predicted[axis, after] - predicted[axis, 0]) / STEPS[i]
+            slope = (predicted[axis, after] - predicted[axis, 0]) / z_at.STEPS[i]
             noise[0, axis] += slope * noise[0, i]
             noise[1, axis] += slope * noise[1, i]
 
 
 @compiled
 def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
-    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad].
-
-    Args:
-        design: Of the filter.
-        tracks: Changed, but for `holds`.
-        arm: Which of them.
-        angle: [rad]
-        resolution: [rad]
-    """
+    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad], but for `holds`."""
     z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
     for i in range(size):
         z[i] = design.mean[i]
@@ -268,11 +230,7 @@ def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resoluti
 def change_part(design: Design, tracks: Tracks, arm: int, holds: bool) -> None:
     """Open what is known of ln S where a part is placed or picked, or placed and another picked.
 
-    Args:
-        design: Of the filter.
-        tracks: Changed.
-        arm: Which of them.
-        holds: Whether the gripper holds a part from now on.
+    `holds` says whether the gripper holds a part from now on.
     """
     z, covariance, without_part = tracks.mean[arm], tracks.covariance[arm], tracks.without_part[arm]
     if tracks.holds[arm]:
@@ -309,11 +267,11 @@ def _watch(design: Design, tracks: Tracks, arm: int, noise_factor: float, measur
     z, covariance = tracks.mean[arm], tracks.covariance[arm]
     known = True
     for i in range(4):
-        known = known and abs(z[i]) <= HIGHEST[i] and covariance[i, i] <= HIGHEST[i] * HIGHEST[i]
+        known = known and abs(z[i]) <= z_at.HIGHEST[i] and covariance[i, i] <= z_at.HIGHEST[i] * z_at.HIGHEST[i]
     if not known:
         z[0], z[1], z[2], z[3] = measured, 0.0, 0.0, 0.0
     for i in range(len(design.mean)):
-        z[i] = min(max(z[i], LOWEST[i]), HIGHEST[i])
+        z[i] = min(max(z[i], z_at.LOWEST[i]), z_at.HIGHEST[i])
     noise_factor = _DEAF if tracks.noise_factor[arm] >= _DEAF else max(noise_factor, 1.0)
     mistrusted = _MISTRUSTED < noise_factor < _DEAF
     if mistrusted or not known or tracks.surprise[arm] > _LOST:
@@ -327,15 +285,15 @@ def _watch(design: Design, tracks: Tracks, arm: int, noise_factor: float, measur
 
 @compiled
 def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, sticks: bool, room: Room) -> None:
-    """Correct one filter by its measurement, once its arm has been simulated.
+    """Correct one filter by its measurement, once its arm has been simulated into `room`.
 
     Args:
         design: Of the filters.
-        tracks: With room for AXES more entries of z with an accelerometer; changed.
+        tracks: Changed.
         arm: Which of them.
         seen: Measurements.
         sticks: Whether the motor does after the sample.
-        room: With the simulations, see `believed_motion.simulate`, and the encoders' resolutions; changed.
+        room: With the encoders' resolutions, too; changed.
     """
     z, covariance, predicted = tracks.mean[arm], tracks.covariance[arm], room.predicted[arm]
     resolution = room.resolution[arm]
@@ -346,8 +304,8 @@ def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, sticks: bool
     for i in range(4):
         z[i] = predicted[i, 0]
     for axis in range(axes):
-        z[size + axis] = predicted[4 + axis, 0] + z[BIAS + axis]
-    z[DISTURBANCE] *= design.decay
+        z[size + axis] = predicted[4 + axis, 0] + z[z_at.BIAS + axis]
+    z[z_at.DISTURBANCE] *= design.decay
     for i in range(4, size):
         covariance[i, i] += design.growth[i]
     innovation, rounding = measured - z[0], resolution * resolution

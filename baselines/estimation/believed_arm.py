@@ -68,34 +68,11 @@ SHORTEST, LONGEST = 0.02, 6.0
 """Delay and, of the former, current loop [samples]. A shorter one would be none, and so would its derivative."""
 _RIPPLE = [0.02] * (RIPPLE.stop - RIPPLE.start)
 _ACCELEROMETER = [2e-3, 2e-3, 2 * ZERO_G, 2 * ZERO_G]
-LOWEST = np.array(
-    [-300, -2000, -2, -200, -0.9, -1.4, -0.5, -2, -2, -0.7, SHORTEST, SHORTEST, -0.6, -0.6, -0.5, -0.3, -1.9, -0.06]
-    + [-most for most in (*_RIPPLE, *_ACCELEROMETER)]
-)
-HIGHEST = np.array(
-    [
-        300,
-        2000,
-        2,
-        200,
-        1.8,
-        0.9,
-        0.6,
-        1.6,
-        1.6,
-        0.9,
-        LONGEST,
-        2,
-        0.6,
-        0.6,
-        1.5,
-        0.3,
-        2.7,
-        0.06,
-        *_RIPPLE,
-        *_ACCELEROMETER,
-    ]
-)
+_SYMMETRIC = [0.06, *_RIPPLE, *_ACCELEROMETER]  # of d and of what follows
+_LOWEST = [-300, -2000, -2, -200, -0.9, -1.4, -0.5, -2, -2, -0.7, SHORTEST, SHORTEST, -0.6, -0.6, -0.5, -0.3, -1.9]
+_HIGHEST = [300, 2000, 2, 200, 1.8, 0.9, 0.6, 1.6, 1.6, 0.9, LONGEST, 2, 0.6, 0.6, 1.5, 0.3, 2.7]
+LOWEST = np.array(_LOWEST + [-most for most in _SYMMETRIC])
+HIGHEST = np.array(_HIGHEST + _SYMMETRIC)
 """Bounds of z, far beyond any arm of the benchmark: an arm within them can be integrated."""
 
 _EARLIEST = 1e-6  # latency [samples]: all arms take both pieces of a sample, whoever is simulated beside them
@@ -219,7 +196,7 @@ def ripple_shape(angle: float, speed: float, k: int) -> tuple[float, float]:
 
 @compiled
 def write_ripple(of: Floats, z: Floats, arms: int, shapes: Floats, torques: Floats) -> None:
-    """Write the torque ripple [N m] of some arms over a sample, as `ripple_torque`.
+    """Write the torque ripple [N m] of some arms over a sample.
 
     Args:
         of: Lanes of which the first two rows are the motor's angle [rad] and speed [rad/s] when it begins.
@@ -239,22 +216,16 @@ def write_ripple(of: Floats, z: Floats, arms: int, shapes: Floats, torques: Floa
 
 
 @compiled
-def ripple_torque(z: Floats, angle: float, speed: float) -> float:
-    """Torque ripple [N m] over a sample that begins at a motor angle [rad], at a speed.
+def other_torque(z: Floats, angle: float, speed: float) -> float:
+    """Torque ripple and d over a sample, what acts on a motor beside its drive and friction [N m].
 
     Args:
         z: Of the arm, shape (SIZE,) or (ACCELEROMETER_SIZE,).
-        angle: [rad]
+        angle: Of the motor when the sample begins [rad].
         speed: [rad/s]
     """
-    total = 0.0
+    ripple = 0.0
     for k in range(len(ORDERS)):
         sine, cosine = ripple_shape(angle, speed, k)
-        total += z[RIPPLE.start + 2 * k] * sine + z[RIPPLE.start + 2 * k + 1] * cosine
-    return total
-
-
-@inlined
-def other_torque(z: Floats, angle: float, speed: float) -> float:
-    """Torque ripple and d, what acts on a motor beside its drive and friction [N m]; arguments as `ripple_torque`."""
-    return z[DISTURBANCE] + ripple_torque(z, angle, speed)
+        ripple += z[RIPPLE.start + 2 * k] * sine + z[RIPPLE.start + 2 * k + 1] * cosine
+    return z[DISTURBANCE] + ripple

@@ -2,42 +2,87 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import AXES
-from baselines.estimation.believed_arm import (
-    ACCELEROMETER_SIZE,
-    ARMS,
-    DELAY,
-    DIFFERENCED,
-    LAG,
-    SHORTEST,
-    SIZE,
-    nominal_row,
-)
-from baselines.estimation.simulation_lanes import Simulation, simulation_room
-from baselines.estimation.uncertainty import Uncertainty
-from baselines.models.linear import linear_arms
+from baselines.estimation.believed_arm import nominal_row
+from baselines.estimation.believed_motion import Simulation, simulation_room
+from baselines.models.linear import linear_arm_of
 from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled, inlined
+from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
 PART = 0.2
 """Mass that is believed of a part before it moves [kg]. Below the mean of `task.ranges.PART_MASS`: a plan for too light
 a part costs less than one for too heavy a part (development arms, loaded moves: 302 at 0.2, 309 at the mean, 0.275)."""
 _ARM_DOUBT = 0.55  # of ln S without a part, over `Uncertainty.swing`: 0.12, that of its training range
+_FRICTION = z_at.LOGS.start + z_at.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
 _PART_DOUBT = 0.75  # [kg] of a part's mass, likewise: 0.16 kg; from 0.13 to 0.20 kg costs differ by 0.2 %
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Standard deviations: of the constants before anything is measured, their drift, and the process noise."""
+
+    swing: float = 0.3  # of ln S with a part in the gripper, when an episode begins: most of it is the part
+    stiffness: float = 0.3  # of ln K_s
+    motor_inertia: float = 0.06  # of ln M_a1
+    friction: float = 0.2  # of ln V_a1 and ln tau_c
+    inertia: float = 0.12  # of ln M2(0)
+    torque_constant: float = 0.06  # of ln(1 + k), which all of these have in common
+    delay: float = 0.5  # of D [samples]
+    lag: float = 0.2  # of T_i [samples]
+    variation: float = 0.1  # of p and q
+    excess: float = 0.14  # of s
+    stiffening: float = 0.1  # of b
+    giving: float = 1.0  # of g
+    ripple: float = 1e-3  # of s_n and c_n [N m]
+    drift: float = 0.01  # growth of all but the ripple's [1/sqrt(s)]
+    friction_drift: float = 0.06  # further growth of ln V_a1 and ln tau_c, which drift [1/sqrt(s)]
+    torque: float = 3e-3  # at the motor, white [N m]
+    sticking: float = 4.0  # that of a motor that sticks and gives, over that of one that slides
+    acceleration: float = 1.0  # torsional, white [rad/s^2]
+    disturbance: float = 5e-4  # of d [N m]
+    memory: float = 0.02  # time in which d decays [s]
+    kinematic_error: float = 1.2e-4  # of e_s and e_c [rad]
+
+    def covariance(self) -> Floats:
+        """Initial covariance of z, (ACCELEROMETER_SIZE,) * 2, at rest; without that of the angle, the encoder's."""
+        constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
+        drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.giving]
+        ripple = [self.ripple] * (2 * len(z_at.ORDERS))
+        accelerometer = [self.kinematic_error] * 2 + [ZERO_G / 3**0.5] * AXES
+        deviations = [0.0, 0.0, 1e-4, 1e-4, *constants, *drive, self.disturbance, *ripple, *accelerometer]
+        result = np.diag(np.square(deviations))
+        result[z_at.LOGS, z_at.LOGS] += self.torque_constant**2
+        return result
+
+    @property
+    def decay(self) -> float:
+        """Share of d that is left after a sample."""
+        return float(np.exp(-CONTROL_PERIOD / self.memory))
+
+    def growth(self) -> Floats:
+        """Variance that each entry of z gains in a sample, but for x: shape (ACCELEROMETER_SIZE,)."""
+        result = np.zeros(z_at.ACCELEROMETER_SIZE)
+        result[z_at.LOGS.start : z_at.DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
+        result[_FRICTION : _FRICTION + 2] += self.friction_drift**2 * CONTROL_PERIOD
+        result[z_at.DISTURBANCE] = (1 - self.decay**2) * self.disturbance**2
+        return result
 
 
 class Tracks(NamedTuple):
     """State of m filters, each of one arm."""
 
-    mean: Floats  # z, shape (m, SIZE) or (m, ACCELEROMETER_SIZE)
-    covariance: Floats  # of it, shape (m, SIZE, SIZE) or (m, ACCELEROMETER_SIZE, ACCELEROMETER_SIZE)
+    mean: Floats  # z, shape (m, SIZE) or (m, ACCELEROMETER_SIZE + AXES): the last are room for predicted readings
+    covariance: Floats  # of it, shape (m, SIZE, SIZE), or as wide as the mean
     surprise: Floats  # w, shape (m,)
     noise_factor: Floats  # W of the accelerometer, shape (m,); 1 without one
     holds: Flags  # whether the gripper holds a part, shape (m,)
@@ -109,27 +154,20 @@ class Room(NamedTuple):
     resolution: Floats  # of each arm's encoder [rad], shape (arms,)
 
 
-def room_for(count: int, accelerometer: bool = False) -> Room:
-    """Room for the filters of `count` arms, at most `ARMS`."""
-    size, axes = (ACCELEROMETER_SIZE, AXES) if accelerometer else (SIZE, 0)
-    simulations = 1 + DIFFERENCED + (2 + 4 if accelerometer else 0)
-    shapes = (
+def room_for(count: int, accelerometer: bool = False, threads: tuple[int, ...] = ()) -> Room:
+    """Room for the filters of `count` arms, at most `ARMS`; of several threads, as the first axis of all arrays."""
+    size, axes = (z_at.ACCELEROMETER_SIZE, AXES) if accelerometer else (z_at.SIZE, 0)
+    simulations = 1 + z_at.DIFFERENCED + (2 + 4 if accelerometer else 0)
+    shapes: tuple[tuple[int, ...], ...] = (
         *((count, 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
-        *(size + axes, size + axes, count),
+        *((size + axes,), (size + axes,), (count,)),
     )
-    return Room(simulation_room(size), *map(np.zeros, shapes))
-
-
-def rooms_for(threads: int, accelerometer: bool) -> Room:
-    """Room for the filters of `ARMS` arms in each of several threads, which are the first axis of all arrays."""
-    room = room_for(ARMS, accelerometer)
-    simulation, parts = ([np.zeros((threads, *part.shape)) for part in of] for of in (room.simulation, room[1:]))
-    return Room(Simulation(*simulation), *parts)
+    return Room(simulation_room(size, threads), *(np.zeros(threads + shape) for shape in shapes))
 
 
 @compiled
 def room_of(rooms: Room, thread: int) -> Room:
-    """Room of one thread, see `rooms_for`."""
+    """Room of one thread, see `room_for`."""
     simulation = Simulation._make(part[thread] for part in rooms.simulation)
     return Room(simulation, *(part[thread] for part in rooms[1:]))
 
@@ -137,17 +175,18 @@ def room_of(rooms: Room, thread: int) -> Room:
 def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bool = False) -> Design:
     """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`."""
     nominal = nominal_row(params)
-    arm = linear_arms(nominal[None])
-    mean = np.zeros(ACCELEROMETER_SIZE if accelerometer else SIZE)
-    mean[LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
-    mean[DELAY] = mean[LAG] + params.command_latency / CONTROL_PERIOD
+    arm = linear_arm_of(nominal)
+    size = z_at.ACCELEROMETER_SIZE if accelerometer else z_at.SIZE
+    mean = np.zeros(size)
+    mean[z_at.LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, z_at.SHORTEST)
+    mean[z_at.DELAY] = mean[z_at.LAG] + params.command_latency / CONTROL_PERIOD
     swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
     return Design(
         nominal=nominal,
-        by_noise=np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1),
+        by_noise=np.stack([arm.by_torque, arm.by_acceleration], axis=1),
         growth=uncertainty.growth(),
         mean=mean,
-        covariance=uncertainty.accelerometer_covariance() if accelerometer else uncertainty.covariance(),
+        covariance=uncertainty.covariance()[:size, :size].copy(),
         torque=uncertainty.torque,
         sticking=uncertainty.sticking,
         acceleration=uncertainty.acceleration,

@@ -22,7 +22,7 @@ import numpy as np
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
 from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.lqg import LqgController, feedback_gains
@@ -177,7 +177,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)
     a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), ANGLES[k])
     gain = controller.resting_gain(ANGLES[k])
-    arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
+    arm, growth = _linear_arm(params).at(k), uncertainty.growth()[DISTURBANCE]
     noise = uncertainty.torque, uncertainty.acceleration
     filter_gain = steady_gain(arm, *noise, uncertainty.decay, growth, QUANTUM**2 / 120)  # the constants held
     by_torque = np.append(arm.by_torque, np.zeros(len(a) - 4))

@@ -75,8 +75,7 @@ class LinkMotion(NamedTuple):
     speed: float  # [rad/s]
     acceleration: float  # [rad/s^2]
     jerk: float  # [rad/s^3]
-    snap: float  # phi'''' [rad/s^4], right-continuous
-    lagging_snap: float  # the same behind a lag
+    lagging_snap: float  # phi'''' behind a lag [rad/s^4]
 
 
 @compiled
@@ -119,7 +118,7 @@ def _lagging(time: float, lag: float) -> float:
 @compiled
 def link_motion(corners: Floats, time: float, lag: float) -> LinkMotion:
     """Motion of the link along a smoothed move at a time [s] since its start; `lag` [s] is that of `lagging_snap`."""
-    p, v, a, j, s, lagging = corners[0], 0.0, 0.0, 0.0, 0.0, 0.0
+    p, v, a, j, lagging = corners[0], 0.0, 0.0, 0.0, 0.0
     for k in range(_SPREADS):
         w, size = corners[1 + _SPREADS + k], corners[1 + 2 * _SPREADS + k]
         since = time - corners[1 + k]
@@ -132,10 +131,9 @@ def link_motion(corners: Floats, time: float, lag: float) -> LinkMotion:
         v += size * (w * (2 * c2 * c / 3 - 4 * r2 * r / 3) + beyond)
         a += size * (2 * c2 - 4 * r2)
         j += size / w * (4 * c - 8 * r)
-        s += size / (w * w) * (0.0 if u < 0.0 or u >= 1.0 else (4.0 if u < 0.5 else -4.0))
         steps = 4 * _lagging(since, lag) - 8 * _lagging(since - 0.5 * w, lag) + 4 * _lagging(since - w, lag)
         lagging += size / (w * w) * steps
-    return LinkMotion(p, v, a, j, s, lagging)
+    return LinkMotion(p, v, a, j, lagging)
 
 
 @compiled
@@ -143,7 +141,7 @@ def flat_point(corners: Floats, time: float, plant: Plant) -> FlatPoint:
     """State and torque along a smoothed move, `corners` of `write_corners`, at a time [s] since its start."""
     gear, stiffness, swing = plant.gear, plant.stiffness, plant.inertia_swing
     lag = max(plant.damping / stiffness, _SHORTEST_LAG)
-    p, v, a, j, _, lagging = link_motion(corners, time, lag)
+    p, v, a, j, lagging = link_motion(corners, time, lag)
     sine, cosine = sine_cosine(p)
     m2 = plant.inertia + swing * sine * sine
     slope, bend = 2 * swing * sine * cosine, 2 * swing * (1 - 2 * sine * sine)

@@ -9,13 +9,13 @@ While the motor turns, friction acts against the motion. Where the motor rests, 
 say which way it is to break away, and both go through zero on a ramp: a push beyond `width` [N m] breaks the motor away
 from where it sticks, one of a few encoder counts does not, and nothing chatters at rest.
 
-`commanded_direction`, for servos: the commanded direction is known without noise. Where the reference rests, what is
+`compensated`, for servos: the commanded direction is known without noise. Where the reference rests, what is
 compensated is the friction against which the feedback pushes.
 
     tau_f = c F(G theta_ref') sign(theta_ref')             while the reference moves
     tau_f = c F(0) clip(push / width, -1, 1)               while it rests
 
-`smooth_direction`, for controllers that estimate the motor's speed: the estimate and the torque asked of the motor add
+`smooth_friction`, for controllers that estimate the motor's speed: the estimate and the torque asked of the motor add
 up, so that either alone decides where it is large.
 
     tau_f = c F(omega_a) clip(omega_a / omega_0 + tau / width, -1, 1)
@@ -65,19 +65,6 @@ def friction_level(friction: DryFriction, motor_speed: float) -> float:
     return friction.coulomb * (1 + friction.excess / (1 + ratio * ratio))
 
 
-@inlined
-def commanded_direction(wanted: Reference, push: float, width: float) -> float:
-    """Direction in which friction is to be overcome, from -1 to 1.
-
-    Args:
-        wanted: Reference motion; what counts is its mean speed until the next sample.
-        push: Torque of the feedback [N m].
-        width: The push that is compensated in full while the reference rests [N m].
-    """
-    speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
-    return min(max(push / width, -1.0), 1.0) if abs(speed) < RESTING else np.sign(speed)
-
-
 class Compensation(NamedTuple):
     """What a servo compensates of dry friction."""
 
@@ -88,8 +75,12 @@ class Compensation(NamedTuple):
 
 @inlined
 def compensated(wanted: Reference, push: float, gear: float, of: Compensation) -> tuple[float, float]:
-    """Return tau_f [N m] along a reference motion under the feedback's push [N m], and the direction taken for it."""
-    direction = commanded_direction(wanted, push, of.rest_width)
+    """Return tau_f [N m] along a reference motion under the feedback's push [N m], and the direction taken for it.
+
+    The reference rests where its mean speed until the next sample is zero.
+    """
+    speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
+    direction = min(max(push / of.rest_width, -1.0), 1.0) if abs(speed) < RESTING else np.sign(speed)
     return of.share * friction_level(of.friction, gear * wanted.speed) * direction, direction
 
 
@@ -105,21 +96,8 @@ class FrictionGains(Gains):
         return Compensation(dry_friction(params.row()), self.friction, self.rest_width)
 
 
-@inlined
-def smooth_direction(motor_speed: float, torque: float, slow: float, width: float) -> float:
-    """Direction in which friction is to be overcome, from -1 to 1.
-
-    Args:
-        motor_speed: Estimated [rad/s].
-        torque: Asked of the motor, friction left out [N m].
-        slow: omega_0, the speed that decides alone [rad/s].
-        width: The torque that does [N m].
-    """
-    return min(max(motor_speed / slow + torque / width, -1.0), 1.0)
-
-
 class SmoothCompensation(NamedTuple):
-    """Compensation by `smooth_direction`."""
+    """What `smooth_friction` compensates."""
 
     friction: DryFriction  # of the design model
     share: float  # c [-]
@@ -130,7 +108,7 @@ class SmoothCompensation(NamedTuple):
 @inlined
 def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -> float:
     """Return tau_f [N m] at an estimated motor speed [rad/s], given the torque asked of the motor [N m]."""
-    direction = smooth_direction(motor_speed, torque, by.slow, by.width)
+    direction = min(max(motor_speed / by.slow + torque / by.width, -1.0), 1.0)
     return by.share * friction_level(by.friction, motor_speed) * direction
 
 
@@ -138,9 +116,7 @@ def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -
 def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
     """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].
 
-    Args:
-        row: Constants of the arm, as the fields of `ArmParams`, shape (len(FIELDS),).
-        state: x at the beginning of a sample, shape (4,); torques are those in its middle.
+    They are those in the middle of a sample that begins with x, shape (4,), of an arm with a row of constants.
     """
     plant, drive, speed = plant_of(row), drive_of(row), state[1]
     x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])

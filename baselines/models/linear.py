@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant, params_table, plant_of
+from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.linear import write_sampled_models
@@ -17,43 +17,46 @@ ANGLES = np.linspace(0.0, np.pi / 2, 46)
 """Joint angles of the tables [rad], every two degrees; outside, tables are constant."""
 
 
-class LinearArms(NamedTuple):
-    """Linear models x[k+1] = A x[k] + b tau_m + e alpha of n arms at each of `ANGLES`, Coulomb friction left out.
+class LinearArm(NamedTuple):
+    """Linear models x[k+1] = A x[k] + b tau_m + e alpha of an arm at each of `ANGLES`, Coulomb friction left out.
 
     See `beltarm_env.physics.linear.sample_models`.
     """
 
-    transition: Floats  # A, shape (n, 46, 4, 4)
-    by_torque: Floats  # b, shape (n, 46, 4)
-    by_acceleration: Floats  # e, shape (n, 46, 4): of a torsional acceleration alpha [rad/s^2], held
+    transition: Floats  # A, shape (46, 4, 4)
+    by_torque: Floats  # b, shape (46, 4)
+    by_acceleration: Floats  # e, shape (46, 4): of a torsional acceleration alpha [rad/s^2], held
+
+    def at(self, k: int) -> LinearArm:
+        """The model at one of the angles, without their axis."""
+        return LinearArm(*(part[k] for part in self))
+
+
+def empty_linear_arm() -> LinearArm:
+    """Room for the linear models of an arm."""
+    size = len(ANGLES)
+    return LinearArm(np.empty((size, 4, 4)), np.empty((size, 4)), np.empty((size, 4)))
 
 
 @compiled
-def write_linear_arm(row: Any, arm: LinearArms) -> None:
-    """Write the linear model of one arm, the belt with its mean stiffness, from its row of constants.
-
-    Args:
-        row: As the fields of `ArmParams`, shape (len(FIELDS),).
-        arm: Without the axis of n arms, written.
-    """
+def write_linear_arm(row: Any, arm: LinearArm) -> None:
+    """Write linear models, the belt with its mean stiffness, of an arm with a row of constants, as `ArmParams`."""
     plant = plant_of(row)
     write_sampled_models(
         plant, plant.stiffness, ANGLES, CONTROL_PERIOD, arm.transition, arm.by_torque, arm.by_acceleration
     )
 
 
-def linear_arms(table: Floats) -> LinearArms:
-    """Linear models of n arms, the belt with its mean stiffness; columns of `table` as `ArmParams`."""
-    count, size = len(table), len(ANGLES)
-    arms = LinearArms(np.empty((count, size, 4, 4)), np.empty((count, size, 4)), np.empty((count, size, 4)))
-    for i in range(count):
-        write_linear_arm(table[i], LinearArms(*(part[i] for part in arms)))
-    return arms
+def linear_arm_of(row: Floats) -> LinearArm:
+    """Linear models of an arm with a row of constants, as the fields of `ArmParams`."""
+    arm = empty_linear_arm()
+    write_linear_arm(row, arm)
+    return arm
 
 
-def linear_arm(params: ArmParams) -> LinearArms:
-    """Linear model of one arm, at each of `ANGLES`: without the axis of n arms."""
-    return LinearArms(*(part[0] for part in linear_arms(params_table([params]))))
+def linear_arm(params: ArmParams) -> LinearArm:
+    """Linear models of an arm."""
+    return linear_arm_of(params.row())
 
 
 @inlined

@@ -24,11 +24,11 @@ import numpy as np
 
 from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.believed_arm import nominal_row
+from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
-from baselines.estimation.uncertainty import Uncertainty
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
-from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
+from baselines.planning.plan import GAIN, Weights, planned, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -98,7 +98,6 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
-        self._cost = plan_cost(self._weights)
         self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
@@ -127,7 +126,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         if not 1 <= plan_samples < EVERY:
             raise ValueError(f"a plan may be spread over 1 to {EVERY - 1} samples, got {plan_samples!r}")
         rows = -(-EPISODE_STEPS // plan_samples)
-        knows = self._identifier.design, self._cost, self._compensation, self._improvements
+        knows = self._identifier.design, self._weights, self._compensation, self._improvements
         return LawKernel(law, AdaptiveDesign(*knows, rows), arm_memory())
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:

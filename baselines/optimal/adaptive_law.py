@@ -13,17 +13,32 @@ import numpy as np
 
 from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
 from baselines.estimation.filter_design import Design, Inputs, Room, empty_inputs, room_for, write_inputs
-from baselines.estimation.identify import Estimate, Notes, empty_estimate, empty_notes, estimate, identify
+from baselines.estimation.identification import (
+    Belief,
+    Estimate,
+    empty_belief,
+    empty_estimate,
+    estimate,
+    identify,
+)
 from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
 from baselines.models.ramps import move_of
-from baselines.planning.plan import PLAN_COLUMNS, PlanCost, plan_backwards, step_of_plan, torque_between, torque_of_plan
+from baselines.planning.plan import (
+    PLAN_COLUMNS,
+    Weights,
+    plan_backwards,
+    problem_of,
+    step_of_plan,
+    torque_between,
+    torque_of_plan,
+)
 from baselines.planning.replanning import is_stale, steps_of
 from baselines.planning.riccati import CostToGo, no_cost
-from baselines.planning.task_plan import PlanRoom, plan_room, plan_task, refine
+from baselines.planning.task_plan import PlanRoom, Start, plan_room, plan_task, refine
 from baselines.reading import Sample
 from beltarm_env import EPISODE_STEPS
-from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.engine import compiled, inlined
 
@@ -89,7 +104,7 @@ class AdaptiveDesign(NamedTuple):
     """What is constant about the law for one arm."""
 
     filter: Design
-    cost: PlanCost
+    weights: Weights
     compensation: Compensation
     improvements: int  # steps by which the first plan is improved, and at most those around the reference's end
     rows: int  # most samples of a plan made anew that are planned in one sample
@@ -98,7 +113,7 @@ class AdaptiveDesign(NamedTuple):
 class ArmMemory(NamedTuple):
     """Memory of the law for one arm."""
 
-    notes: Notes  # what is known of it
+    notes: Belief  # what is known of it
     logs: Floats  # `Estimate.logs` that the plan was made for, shape (6,)
     plan: Floats  # shape (1200, 10)
     to_go: CostToGo  # of the plan that is being made anew
@@ -114,7 +129,7 @@ def arm_memory() -> ArmMemory:
     """Memory for one arm."""
     found, logs = empty_estimate(1), np.zeros(LOGS.stop - LOGS.start)
     return ArmMemory(
-        empty_notes(1, SIZE),
+        empty_belief(1, SIZE),
         logs,
         np.zeros((EPISODE_STEPS, PLAN_COLUMNS)),
         no_cost(5),
@@ -135,8 +150,8 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
     identify(design.filter, memory.inputs, memory.notes, memory.identification)
     estimate(design.filter, memory.notes, memory.identification.simulation, found)
     if begins or now.step == 0:
-        time, row, state = now.step + found.delay[0], found.table[0], found.states[0]
-        plan_task(move_of(now), row, design.cost, 0, time, state, design.improvements, memory.planning, memory.plan)
+        start = Start(0, now.step + found.delay[0], found.states[0], design.improvements)
+        plan_task(move_of(now), found.table[0], design.weights, start, memory.planning, memory.plan)
         memory.left[0] = 0
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
@@ -169,13 +184,16 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
     if memory.left[0] > now.step:
-        first, plant = max(memory.left[0] - design.rows, now.step), plant_of(memory.row)
-        plan_backwards(move_of(now), plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
+        first, problem = (
+            max(memory.left[0] - design.rows, now.step),
+            problem_of(move_of(now), memory.row, model, design.weights),
+        )
+        plan_backwards(problem, to_go, first, memory.left[0], memory.plan)
         memory.left[0] = first
         if first == now.step:
-            time, state = now.step + found.delay[0], found.states[0]
             steps = steps_of(now.duration, now.step, design.improvements)
-            refine(move_of(now), memory.row, time, state, steps, memory.planning, memory.plan)
+            start = Start(first, now.step + found.delay[0], found.states[0], steps)
+            refine(problem, start, memory.planning.steps, memory.plan)
 
 
 @compiled

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import LawKernel
-from baselines.estimation.tracking import ObserverDesign, track_arm
+from baselines.estimation.observer import ObserverDesign, track_arm
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place

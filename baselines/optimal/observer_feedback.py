@@ -13,8 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from baselines.controller import ClassicalController, run_law
-from baselines.estimation.observer import Estimate, StickSlipObserver
-from baselines.estimation.tracking import Track
+from baselines.estimation.observer import Estimate, StickSlipObserver, Track
 from baselines.planning.plan import Plans
 from baselines.reading import Reading
 from beltarm_env import ArmParams

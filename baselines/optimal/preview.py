@@ -17,21 +17,18 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.controller import LawKernel
-from baselines.estimation.accelerometer_observer import AccelerometerObserver
-from baselines.estimation.observer import Noise
-from baselines.estimation.tracking import ObserverDesign, Track, track_arm
+from baselines.estimation.accelerometer import AccelerometerObserver
+from baselines.estimation.observer import Noise, ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
-from baselines.models.linear import LinearArms, linear_arm
+from baselines.models.linear import LinearArm, linear_arm
 from baselines.models.ramps import move_of
 from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObserverController
 from baselines.planning.plan import (
     PLAN_COLUMNS,
-    PlanCost,
     Plans,
     Weights,
-    plan_cost,
-    plan_rows,
+    plan_move,
     replaced,
     rows_at,
     step_of_plan,
@@ -39,7 +36,6 @@ from baselines.planning.plan import (
 )
 from baselines.reading import Reading, Sample
 from beltarm_env import EPISODE_STEPS, ArmParams
-from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
@@ -79,9 +75,8 @@ class PreviewDesign(NamedTuple):
     """What the law for one arm knows."""
 
     observer: ObserverDesign
-    plant: Plant
-    model: LinearArms  # of this one arm
-    cost: PlanCost
+    model: LinearArm
+    weights: Weights
     friction: SmoothCompensation
 
 
@@ -109,7 +104,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Planne
     track, plan, row = memory.track, memory.plan, memory.row
     track_arm(design.observer, now, begins, track)
     if begins:
-        plan_rows(move_of(now), design.plant, design.model, design.cost, 0, plan)
+        plan_move(move_of(now), design.observer.row, design.model, design.weights, 0, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
     row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
@@ -125,8 +120,7 @@ class PreviewController(ObserverController):
 
     def _known(self) -> PreviewDesign:
         p, g = self.params, self.gains
-        model, cost = linear_arm(p), plan_cost(g.weights())
-        return PreviewDesign(self._observer.design, p.plant(), model, cost, g.compensation(p))
+        return PreviewDesign(self._observer.design, linear_arm(p), g.weights(), g.compensation(p))
 
     def kernel(self) -> LawKernel:
         """The law for one arm, with its observer.
@@ -143,7 +137,7 @@ class PreviewController(ObserverController):
         def plan(arm: int) -> Floats:
             made, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
             move = MoveShape(*reading.move[arm].tolist())
-            plan_rows(move, design.plant, design.model, design.cost, 0, made)
+            plan_move(move, design.observer.row, design.model, design.weights, 0, made)
             return made
 
         plans = replaced(plans, begins, plan)

@@ -14,7 +14,7 @@ asked
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
 with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a whole trial. It is solved exactly,
-backwards over z_k = [dx_k; v[k-1]] (`baselines.planning.norm_sample`), the input being v[k] - v[k-1], as feed-forward
+backwards over z_k = [dx_k; v[k-1]] (`baselines.planning.riccati`), the input being v[k] - v[k-1], as feed-forward
 and feedback v[k] = c[k] - K[k] z_k. Torques have a limit: where on the trial's own path (z_k = 0) v[k] would pass it,
 the law is v[k] = what is left to the limit, whatever z_k (Y. Tassa, N. Mansard, E. Todorov: Control-limited
 differential dynamic programming, ICRA 2014).
@@ -29,28 +29,21 @@ Int. J. Control 65, 1996; S. Gunnarsson, M. Norrlof: On the design of ILC algori
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from baselines.planning.norm_sample import (
-    Prices,
-    deviate,
-    empty_sample,
-    followed_change,
-    sample_change,
-    weigh_jump,
-    weigh_norms,
-)
-from baselines.planning.riccati import no_cost
+from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.engine import compiled
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
 _MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3])  # of x, for the differences
 _TORQUE_MOVE = 1e-4  # of torques: of the motor, of commands under way, of the command
@@ -77,9 +70,124 @@ class Weights(NamedTuple):
     effort: float  # R [1/(N m)^2]
 
 
+class Change(NamedTuple):
+    """Law v[k] = c[k] - K[k] z_k of the next trial."""
+
+    change: Floats  # c [N m], shape (T,)
+    gain: Floats  # K, shape (T, n + 1)
+    curvature: Floats  # half that of the cost to go in each torque, on the trial's own path [1/(N m)^2], shape (T,)
+
+
+class Sample(NamedTuple):
+    """Problem of one sample, of n states, and room for its solution."""
+
+    transition: Floats  # [A 0; 0 1], shape (n + 1, n + 1); then its last column is changed
+    by_input: Floats  # [b; 1], shape (n + 1,)
+    nothing: Floats  # zeros, shape (n + 1,)
+    errors: Floats  # e, shape (4,)
+    of_state: Floats  # C, shape (4, 4)
+    weights: Floats  # diagonal of W, shape (4,)
+    slope: Floats  # of the cost, shape (n + 3,)
+
+
+@compiled
+def empty_sample(size: int) -> Sample:
+    """Room for the problem of one sample; `size` is n + 1, a literal."""
+    return Sample(
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros(size),
+        np.zeros(4),
+        np.zeros((4, 4)),
+        np.zeros(4),
+        np.zeros(size + 2),
+    )
+
+
+class Prices(NamedTuple):
+    """What a change of the torque costs in one sample, and how far it may go."""
+
+    effort: float  # R [1/(N m)^2]
+    smoothness: float  # r [1/(N m)^2]
+    jump: float  # D, of the torque before it is changed [N m]
+    lowest: float  # change [N m]
+    highest: float  # [N m]
+
+
+@inlined
+def sample_change(size: int, sample: Sample, prices: Prices, to_go: CostToGo, gain: Floats) -> float:
+    """Go back by one sample: write the gain K of the optimal change, shape (n + 1,), and return its constant c [N m].
+
+    `size` is n + 1, a literal. The cost after the sample, `to_go`, becomes that before it. Half the curvature of the
+    cost to go is the last entry of the sample's slope then.
+    """
+    states = size - 1
+    for error in range(4):
+        for i in range(4):
+            weighted = sample.weights[error] * sample.of_state[error, i]
+            to_go.vector[i] += weighted * sample.errors[error]
+            for j in range(4):
+                to_go.matrix[i, j] += weighted * sample.of_state[error, j]
+    to_go.matrix[states, states] += prices.effort
+    for i in range(states):
+        sample.transition[i, states] = sample.by_input[i]
+        sample.transition[states, i] = 0.0
+    sample.transition[states, states] = sample.by_input[states] = 1.0
+    pull = prices.smoothness * prices.jump
+    slope_in_input(
+        size, to_go, sample.transition, sample.by_input, sample.nothing, prices.smoothness, pull, sample.slope
+    )
+    change = free_input(size, sample.slope, gain)
+    left = min(max(change, prices.lowest), prices.highest)
+    if left != change:
+        change = left
+        for i in range(states):
+            gain[i] = 0.0
+        gain[states] = 1.0
+    step_back(size, to_go, sample.transition, sample.slope, gain, change)
+    gain[states] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
+    return change
+
+
+@inlined
+def followed_change(states: int, change: float, gain: Floats, away: Floats, last: float) -> float:
+    """Return v = c - K [dx; last] [N m]; dx of shape (n,)."""
+    v = change - gain[states] * last
+    for j in range(states):
+        v -= gain[j] * away[j]
+    return v
+
+
+@inlined
+def deviate(states: int, transition: Floats, by_torque: Floats, away: Floats, v: float, following: Floats) -> None:
+    """Write dx after a sample, A dx + b v; A may have more rows and columns, b more entries."""
+    for i in range(states):
+        following[i] = by_torque[i] * v
+        for j in range(states):
+            following[i] += transition[i, j] * away[j]
+
+
+@inlined
+def weigh_norms(errors: Floats, soft: float, weights: Floats) -> None:
+    """Write weights that give the squares of errors, shape (4,), the slope of |e_p| / 10 mm + |e_v| / 200 mm/s.
+
+    Norms over their scale that are below `soft` count as it.
+    """
+    position = max(math.sqrt(errors[0] * errors[0] + errors[1] * errors[1]) / POSITION_SCALE, soft)
+    velocity = max(math.sqrt(errors[2] * errors[2] + errors[3] * errors[3]) / VELOCITY_SCALE, soft)
+    weights[0] = weights[1] = 0.5 / (position * (POSITION_SCALE * POSITION_SCALE))
+    weights[2] = weights[3] = 0.5 / (velocity * (VELOCITY_SCALE * VELOCITY_SCALE))
+
+
+@inlined
+def weigh_jump(jump: float, limit: float, soft: float) -> float:
+    """Weight that gives the square of a jump [N m] of the torque the slope of 0.1 |jump| / limit; see `weigh_norms`."""
+    return 0.5 * TORQUE_RATE_WEIGHT / (max(abs(jump) / limit, soft) * (limit * limit))
+
+
 def optimal_change(
     trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
-) -> tuple[Floats, Floats]:
+) -> Change:
     """Minimise the cost of the next trial.
 
     Args:
@@ -88,72 +196,38 @@ def optimal_change(
         torque: tau [N m], shape (T,).
         limit: Of the next trial's torques [N m].
         before: Torque before the first sample [N m].
-
-    Returns:
-        c [N m] of shape (T,) and K of shape (T, n + 1).
-    """
-    change, gain, _ = curved_change(trial, weights, torque, limit, before)
-    return change, gain
-
-
-def curved_change(
-    trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
-) -> tuple[Floats, Floats, Floats]:
-    """As `optimal_change`, and with half the curvature of the cost to go in each torque [1/(N m)^2], shape (T,).
-
-    By so much, times the square of the difference, any other torque in place of c costs more, on the trial's own path.
     """
     steps, states = trial.by_torque.shape
-    change, gain, curvature = np.empty(steps), np.empty((steps, states + 1)), np.empty(steps)
-    _solve(trial, weights, torque, limit, before, change, gain, curvature)
-    return change, gain, curvature
+    result = Change(np.empty(steps), np.empty((steps, states + 1)), np.empty(steps))
+    _solve(trial, weights, torque, limit, before, result)
+    return result
 
 
 @compiled
-def _solve(
-    trial: Trial,
-    weights: Weights,
-    torque: Floats,
-    limit: float,
-    before: float,
-    change: Floats,
-    gain: Floats,
-    curvature: Floats,
-) -> None:
+def _solve(trial: Trial, weights: Weights, torque: Floats, limit: float, before: float, result: Change) -> None:
     states = trial.by_torque.shape[1]
     if states == 4:
-        _solve_sized(5, trial, weights, torque, limit, before, change, gain, curvature)  # a literal: loops are unrolled
+        _solve_sized(5, trial, weights, torque, limit, before, result)  # a literal: loops are unrolled
     else:
-        _solve_sized(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
+        _solve_sized(states + 1, trial, weights, torque, limit, before, result)
 
 
 @compiled
 def _solve_sized(
-    size: int,
-    trial: Trial,
-    weights: Weights,
-    torque: Floats,
-    limit: float,
-    before: float,
-    change: Floats,
-    gain: Floats,
-    curvature: Floats,
+    size: int, trial: Trial, weights: Weights, torque: Floats, limit: float, before: float, result: Change
 ) -> None:
-    """Fill in change, gain and curvature, backwards; `size` counts the states of the arm and the last change."""
+    """Write the law, backwards; `size` counts the states of the arm and the last change."""
     states, to_go, sample = size - 1, no_cost(size), empty_sample(size)
     for k in range(len(torque) - 1, -1, -1):
         for i in range(states):
             sample.by_input[i] = trial.by_torque[k, i]
             for j in range(states):
                 sample.transition[i, j] = trial.transition[k, i, j]
-        for i in range(4):
-            sample.errors[i], sample.weights[i] = trial.errors[k, i], weights.errors[k, i]
-            for j in range(4):
-                sample.of_state[i, j] = trial.of_state[k, i, j]
+        sample.errors[:], sample.weights[:], sample.of_state[:] = trial.errors[k], weights.errors[k], trial.of_state[k]
         jump = torque[k] - (torque[k - 1] if k > 0 else before)
         prices = Prices(weights.effort, weights.smoothness[k], jump, -limit - torque[k], limit - torque[k])
-        change[k] = sample_change(size, sample, prices, to_go, gain[k])
-        curvature[k] = sample.slope[size + 1]
+        result.change[k] = sample_change(size, sample, prices, to_go, result.gain[k])
+        result.curvature[k] = sample.slope[size + 1]
 
 
 def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats]:
@@ -191,15 +265,13 @@ class Linearisation:
 
     Args:
         params: Constants near those of the arms.
-        steps: T, samples of a trial.
+        steps: Most samples T of a trial.
     """
 
     def __init__(self, params: ArmParams, steps: int) -> None:
-        self._copies = 2 * (X + 1 + DRIVE_STATES) + 1
-        self._simulation = ArmSimulation(params, self._copies * steps)
-        self._steps = steps
+        self._simulation = ArmSimulation(params, (2 * (X + 1 + DRIVE_STATES) + 1) * steps)
 
-    def about(self, states: Floats, torques: Floats, task: Floats, row: Floats, first: int = 0) -> Trial:
+    def about(self, states: Floats, torques: Floats, task: Floats, row: Floats) -> Trial:
         """Linear problem about the motion of one arm.
 
         Args:
@@ -207,17 +279,8 @@ class Linearisation:
             torques: Commanded over each sample [N m], shape (T,).
             task: Reference angle [rad] and speed [rad/s] of the joint after each sample, shape (T, 2).
             row: Constants of the arm, columns as `ArmParams`, shape (len(FIELDS),).
-            first: Sample of the episode at which the trial begins, for the drift of friction.
-
-        Raises:
-            ValueError: If there are not as many samples as this was made for.
         """
-        count, size = self._steps, states.shape[1]
-        if len(states) != count or torques.shape != (count,) or task.shape != (count, 2):
-            raise ValueError(
-                f"a trial must have {count} samples, got states {states.shape}, torques {torques.shape} and "
-                f"task {task.shape}"
-            )
+        count, size = states.shape
         moves = np.append(_MOVES, np.full(size + 1 - X, _TORQUE_MOVE))
         if size > X:
             moves[size - 1] = _DEFLECTION_MOVE
@@ -226,7 +289,7 @@ class Linearisation:
         for j, move in enumerate(moves):
             inputs[:, 2 * j + 1, j] += move
             inputs[:, 2 * j + 2, j] -= move
-        at = np.repeat(np.arange(first, first + count, dtype=np.float64), copies)
+        at = np.repeat(np.arange(count, dtype=np.float64), copies)
         rows = np.repeat(row[None], copies * count, axis=0)
         rows[:, COLUMN.torque_limit] *= 2  # so that commands at the limit have neighbours on both sides
         self._simulation.set_table(rows, at)

@@ -24,12 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import ANGLES, LinearArms, between, place, turning_load, write_linear_arm
+from baselines.models.linear import LinearArm, between, linear_arm_of, place, turning_load
 from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
-from baselines.planning.tip_error import ErrorWeights, add_tip_cost, bounded_sine, error_weights, write_tip_errors
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.arm import Plant, plant_of
-from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.arm import COLUMN, Plant, plant_of
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.engine.threads import each_in_threads
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
@@ -47,73 +47,73 @@ class Weights(NamedTuple):
     change: float = 1.0  # R, of its change from sample to sample [1/(N m)^2]
 
 
-class PlanCost(NamedTuple):
-    """Weights of the plan's cost as its recursion adds it up."""
+class Problem(NamedTuple):
+    """Move and arm that a plan is for, and what it minimises."""
 
-    errors: ErrorWeights
-    torque: float  # rho [1/(N m)^2]
-    change: float  # R [1/(N m)^2]
-
-
-def plan_cost(weights: Weights) -> PlanCost:
-    """Weights of errors [1/m^2, s^2/m^2] and torque."""
-    return PlanCost(error_weights(weights.velocity), weights.torque, weights.change)
+    move: MoveShape
+    plant: Plant
+    left: float  # torque that the limit leaves beside friction [N m]
+    model: LinearArm
+    weights: Weights
 
 
 @inlined
-def set_step(
-    now: Reference, after: Reference, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats
-) -> None:
-    """Write A (4, 4), b and d (4,) of the step between two samples of the reference, by the model of one arm."""
+def problem_of(move: MoveShape, row: Floats, model: LinearArm, weights: Weights) -> Problem:
+    """Problem of an arm with a row of constants, shape (len(FIELDS),), and their linear model."""
+    plant = plant_of(row)
+    friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
+    return Problem(move, plant, max(plant.torque_limit - friction, 0.1 * plant.torque_limit), model, weights)
+
+
+@inlined
+def reference_of(problem: Problem, k: int) -> Reference:
+    """Reference at a sample of the move."""
+    return reference_at(TRAPEZOID, problem.move, k * CONTROL_PERIOD)
+
+
+@inlined
+def set_step(problem: Problem, now: Reference, after: Reference, a: Floats, b: Floats, d: Floats) -> None:
+    """Write A (4, 4), b and d (4,) of the step between two samples of the reference."""
+    gear, model = problem.plant.gear, problem.model
     row, weight = place(now.angle)
-    m2, turning = turning_load(now.angle, now.speed, plant)
+    m2, turning = turning_load(now.angle, now.speed, problem.plant)
     for i in range(4):
         b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
         d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * (turning / m2)
         for j in range(4):
             a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
     for i in range(4):
-        d[i] += plant.gear * (a[i, 0] * now.angle + a[i, 1] * now.speed)
-    d[0] -= plant.gear * after.angle
-    d[1] -= plant.gear * after.speed
+        d[i] += gear * (a[i, 0] * now.angle + a[i, 1] * now.speed)
+    d[0] -= gear * after.angle
+    d[1] -= gear * after.speed
 
 
 @compiled
-def plan_backwards(
-    move: MoveShape,
-    plant: Plant,
-    model: LinearArms,
-    cost: PlanCost,
-    to_go: CostToGo,
-    first: int,
-    last: int,
-    rows: Floats,
-) -> None:
+def plan_backwards(problem: Problem, to_go: CostToGo, first: int, last: int, rows: Floats) -> None:
     """Plan samples `first` to `last` - 1 of a move, the last one first; so a plan may be made piece by piece.
 
     Args:
-        move: Of the joint.
-        plant: Coefficients of the arm.
-        model: Linear model of this one arm.
-        cost: What is minimised.
+        problem: Move and arm.
         to_go: Cost after sample `last` - 1: `no_cost` at the end of the plan. Turned into that before `first`.
         first: Sample, from 0 on.
         last: Sample, up to the number of rows.
         rows: A sample each, [x_ref, K, tau_ff] of tau = tau_ff - K [x - x_ref; tau_last], dry friction left out; shape
             (1200, 10), written.
     """
+    plant, weights = problem.plant, problem.weights
+    of_errors = error_weights(weights.velocity)
     f, g, h, slope, errors = np.zeros((5, 5)), np.ones(5), np.zeros(5), np.empty(7), np.empty((4, 4))
     f[4, 4] = 1.0
-    after = reference_at(TRAPEZOID, move, last * CONTROL_PERIOD)
+    after = reference_of(problem, last)
     for k in range(last - 1, first - 1, -1):
-        now = reference_at(TRAPEZOID, move, k * CONTROL_PERIOD)
+        now = reference_of(problem, k)
         write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, errors)
-        add_tip_cost(to_go.matrix, errors, cost.errors)
-        to_go.matrix[4, 4] += cost.torque
-        set_step(now, after, plant, model, f, g, h)
+        add_tip_cost(to_go.matrix, errors, of_errors)
+        to_go.matrix[4, 4] += weights.torque
+        set_step(problem, now, after, f, g, h)
         for i in range(4):
             f[i, 4] = g[i]
-        slope_in_input(5, to_go, f, g, h, cost.change, 0.0, slope)
+        slope_in_input(5, to_go, f, g, h, weights.change, 0.0, slope)
         gain = rows[k, GAIN:TORQUE]
         rows[k, TORQUE] = free_input(5, slope, gain)
         step_back(5, to_go, f, slope, gain, rows[k, TORQUE])
@@ -124,22 +124,14 @@ def plan_backwards(
 
 
 @compiled
-def plan_rows(move: MoveShape, plant: Plant, model: LinearArms, cost: PlanCost, first: int, rows: Floats) -> None:
-    """Plan a move at once, from a sample on, see `plan_backwards`; earlier rows are not written."""
-    plan_backwards(move, plant, model, cost, no_cost(5), first, rows.shape[0], rows)
+def plan_move(move: MoveShape, row: Floats, model: LinearArm, weights: Weights, first: int, rows: Floats) -> None:
+    """Plan a move of an arm at once, from a sample on; arguments as of `problem_of` and `plan_backwards`."""
+    plan_backwards(problem_of(move, row, model, weights), no_cost(5), first, len(rows), rows)
 
 
 @inlined
 def torque_between(low: Floats, high: Floats, share: float, x: Floats, last: float) -> float:
-    """Torque tau_ff - K [x - x_ref; tau_last] [N m] by a plan between two of its rows, each of shape (10,).
-
-    Args:
-        low: The earlier row.
-        high: The later one.
-        share: Of the time between them that has passed.
-        x: State then, shape (4,).
-        last: Torque before it, that of the plan [N m].
-    """
+    """Torque tau_ff - K [x - x_ref; tau_last] [N m] by a plan between two of its rows, a share of their time apart."""
     feedback = 0.0
     for i in range(4):
         gain = low[GAIN + i] + share * (high[GAIN + i] - low[GAIN + i])
@@ -157,14 +149,7 @@ def step_of_plan(time: float) -> tuple[int, float]:
 
 @inlined
 def torque_of_plan(rows: Floats, time: float, x: Floats, last: float) -> float:
-    """Torque [N m] by the plan of one arm; between samples its rows are interpolated.
-
-    Args:
-        rows: The plan, shape (1200, 10).
-        time: At which the torque acts, since the episode's start [samples].
-        x: State then, shape (4,).
-        last: Torque before it, that of the plan [N m].
-    """
+    """Torque [N m] by the plan of one arm at a time since the episode's start [samples], see `torque_between`."""
     step, share = step_of_plan(time)
     return torque_between(rows[step], rows[step + 1], share, x, last)
 
@@ -175,7 +160,7 @@ leaves those of the others where they are; never changed in place, since a memor
 
 
 def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floats:
-    """Plan of one move, shape (1200, 10), from a sample on; earlier rows are zero.
+    """Plan of one move from a sample on, shape (1200, 10); earlier rows are zero.
 
     Args:
         move: Start, goal [rad], duration, ramp time [s]; shape (4,).
@@ -183,11 +168,8 @@ def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floa
         weights: Of the errors and of the torque.
         first: Sample.
     """
-    size = len(ANGLES)
-    model = LinearArms(np.empty((size, 4, 4)), np.empty((size, 4)), np.empty((size, 4)))
-    write_linear_arm(row, model)
     rows = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-    plan_rows(MoveShape(*map(float, move)), plant_of(row), model, plan_cost(weights), first, rows)
+    plan_move(MoveShape(*map(float, move)), row, linear_arm_of(row), weights, first, rows)
     return rows
 
 
@@ -204,17 +186,10 @@ def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -
     return merged
 
 
-@compiled
-def _steps_of_plans(time: Floats) -> Integers:
-    steps = np.empty(len(time), np.intp)
-    for i in range(len(time)):
-        steps[i], _ = step_of_plan(time[i])
-    return steps
-
-
 def rows_at(plans: Plans, time: Floats) -> Floats:
     """Rows of n plans before and after their times [samples], shape (n, 2, 10)."""
-    return np.array([plan[k : k + 2] for plan, k in zip(plans, _steps_of_plans(time).tolist(), strict=True)])
+    steps = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)  # see `step_of_plan`
+    return np.array([plan[k : k + 2] for plan, k in zip(plans, steps.tolist(), strict=True)])
 
 
 @compiled

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.planning.plan import PLAN_COLUMNS, PlanCost, Plans, Weights, plan_cost, replaced
-from baselines.planning.task_plan import plan_room, plan_task
+from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, replaced
+from baselines.planning.task_plan import Start, plan_room, plan_task
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.engine import compiled, inlined
@@ -51,12 +51,12 @@ def steps_of(duration: float, step: int, most: int) -> int:
 
 @compiled
 def is_stale(duration: float, step: int, logs: Floats, of_plan: Floats) -> bool:
-    """Whether a plan is to be made anew.
+    """Whether a plan made for some logarithms of constants, shape (m,), is to be made anew for others.
 
     Args:
         duration: Of the reference [s].
         step: Samples since the move's start.
-        logs: Of the estimated constants over their nominal values, shape (m,).
+        logs: See `Situation`.
         of_plan: Those that the plan was made for.
     """
     most = 0.0
@@ -76,11 +76,11 @@ class Situation:
     logs: Floats  # of the estimated constants over their nominal values, shape (n, m)
     table: Floats  # constants that plans are made for, columns as `ArmParams`, shape (n, len(FIELDS))
 
-    def plan(self, arm: int, cost: PlanCost, first: int, steps: int) -> Floats:
+    def plan(self, arm: int, weights: Weights, first: int, steps: int) -> Floats:
         """Plan of one arm from a sample on, shape (1200, 10), with `first` or improved by steps after it."""
         rows, move = np.zeros((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*self.moves[arm].tolist())
-        about = float(self.time[arm]), self.states[arm], steps, plan_room()
-        plan_task(move, self.table[arm], cost, first, *about, rows)
+        start = Start(first, float(self.time[arm]), self.states[arm], steps)
+        plan_task(move, self.table[arm], weights, start, plan_room(), rows)
         return rows
 
 
@@ -102,7 +102,7 @@ class PlanCache:
             return self
 
         def plan(arm: int) -> Floats:
-            return now.plan(arm, plan_cost(weights), 0, steps)
+            return now.plan(arm, weights, 0, steps)
 
         tasks, first = np.column_stack([now.moves, now.time, now.states, now.table]), dict[bytes, int]()
         like = {arm: first.setdefault(tasks[arm].tobytes(), arm) for arm in np.flatnonzero(begins).tolist()}
@@ -123,6 +123,6 @@ class PlanCache:
 
         def plan(arm: int) -> Floats:
             step = int(now.step[arm])
-            return now.plan(arm, plan_cost(weights), step, steps_of(duration[arm], step, most))
+            return now.plan(arm, weights, step, steps_of(duration[arm], step, most))
 
         return PlanCache(replaced(self.plans, stale, plan), np.where(stale[:, None], now.logs, self.logs))

@@ -56,7 +56,7 @@ def slope_in_input(
         h: Shape (n,).
         price: R, of the input.
         pull: q, of the input.
-        slope: Shape (n + 2,).
+        slope: Shape (n + 2,), written.
     """
     for i in range(size):
         by_input, by_offset = 0.0, to_go.vector[i]
@@ -90,16 +90,7 @@ def free_input(size: int, slope: Floats, gain: Floats) -> float:
 
 @inlined
 def step_back(size: int, to_go: CostToGo, f: Floats, slope: Floats, gain: Floats, constant: float) -> None:
-    """Turn the cost after a step into the cost before it, under the law v = -gain z + constant.
-
-    Args:
-        size: n, a literal.
-        to_go: As `slope_in_input` left it; its products are changed, too.
-        f: F, shape (n, n).
-        slope: From `slope_in_input`.
-        gain: Shape (n,).
-        constant: [N m].
-    """
+    """Turn the cost after a step, once `slope_in_input` was there, into that before it; v = -gain z + constant."""
     rest = slope[size] + slope[size + 1] * constant
     for m in range(size):  # what the sums below have in common
         to_go.by_offset[m] += to_go.by_input[m] * constant

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import ANGLES, LinearArms, write_linear_arm
-from baselines.planning.norm_sample import (
+from baselines.models.linear import LinearArm, empty_linear_arm, write_linear_arm
+from baselines.planning.norm_optimal import (
     Prices,
     Sample,
     deviate,
@@ -34,17 +34,17 @@ from baselines.planning.norm_sample import (
     weigh_jump,
     weigh_norms,
 )
-from baselines.planning.plan import GAIN, TORQUE, PlanCost, plan_rows, set_step
+from baselines.planning.plan import GAIN, TORQUE, Problem, Weights, plan_backwards, problem_of, reference_of, set_step
 from baselines.planning.riccati import no_cost
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.arm import COLUMN, Plant, plant_of
+from beltarm_env import EPISODE_STEPS
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
+from beltarm_env.task.reference import MoveShape, Reference
 
 _SOFT, _SOFT_JUMP = 0.01, 0.05  # of the errors' scales, and of the torque limit: below, norms count as squares
 _EFFORT = 1.0  # [1/(N m)^2] on a step's change of the torque: which keeps the step's problem well posed
@@ -53,39 +53,25 @@ _LAST = EPISODE_STEPS - 3  # sample from which there is nothing left to plan
 _CHANGE = 4  # column of `PlanRoom.steps` with the change of the torque, after the four of the motion's
 
 
+class Start(NamedTuple):
+    """Where a plan begins, and how often it is improved."""
+
+    first: int  # sample since the move's start
+    time: float  # when commands begin to act, since the episode's start [samples]
+    state: Floats  # x then, shape (4,)
+    improvements: int  # steps at most; fewer where there is nothing left to gain
+
+
 class PlanRoom(NamedTuple):
     """Room for making the plan of one arm; what it holds between two calls does not matter."""
 
-    model: LinearArms  # of the arm, without the axis of n arms
+    model: LinearArm  # of the arm
     steps: Floats  # law of a step of improvement in each sample, and then what it changes; shape (1200, 6)
 
 
 def plan_room() -> PlanRoom:
     """Room for making a plan."""
-    size = len(ANGLES)
-    model = LinearArms(np.zeros((size, 4, 4)), np.zeros((size, 4)), np.zeros((size, 4)))
-    return PlanRoom(model, np.zeros((EPISODE_STEPS, 6)))
-
-
-class Problem(NamedTuple):
-    """Move and arm that a plan is for."""
-
-    move: MoveShape
-    plant: Plant
-    left: float  # torque that the limit leaves beside friction [N m]
-
-
-@inlined
-def problem_of(move: MoveShape, row: Floats) -> Problem:
-    """Problem of an arm with a row of constants, shape (len(FIELDS),)."""
-    plant = plant_of(row)
-    friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
-    return Problem(move, plant, max(plant.torque_limit - friction, 0.1 * plant.torque_limit))
-
-
-@inlined
-def _reference(problem: Problem, k: int) -> Reference:
-    return reference_at(TRAPEZOID, problem.move, k * CONTROL_PERIOD)
+    return PlanRoom(empty_linear_arm(), np.zeros((EPISODE_STEPS, 6)))
 
 
 @inlined
@@ -109,20 +95,15 @@ def _cost(rows: Floats, steps: Floats, first: int, share: float, problem: Proble
     """Sum up what the task charges from a sample on, a share of a step along."""
     total, errors = 0.0, np.empty(4)
     for k in range(len(rows) - 2, first - 1, -1):
-        x = ArmState(
-            rows[k + 1, 0] + share * steps[k, 0],
-            rows[k + 1, 1] + share * steps[k, 1],
-            rows[k + 1, 2] + share * steps[k, 2],
-            rows[k + 1, 3] + share * steps[k, 3],
-        )
-        _write_errors(x, _reference(problem, k + 1), problem.plant, errors)
+        x = ArmState._make(rows[k + 1, i] + share * steps[k, i] for i in range(4))
+        _write_errors(x, reference_of(problem, k + 1), problem.plant, errors)
         before = rows[k - 1, TORQUE] + (share * steps[k - 1, _CHANGE] if k > first else 0.0)
         total += _charge(errors, rows[k, TORQUE] + share * steps[k, _CHANGE] - before, problem.plant)
     return total
 
 
 @compiled
-def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: LinearArms) -> None:
+def anchor(rows: Floats, time: float, state: Floats, problem: Problem) -> None:
     """Write down where the law of a plan leads to from a state: within the torque limit, that leaves the law as it is.
 
     Args:
@@ -130,7 +111,6 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: Li
         time: At which the state is, since the episode's start [samples].
         state: x, shape (4,).
         problem: Arm and move.
-        model: Of the arm.
     """
     first = int(time)
     share = time - first
@@ -139,7 +119,7 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: Li
         z[i] = state[i] - (rows[first, i] + share * (rows[first + 1, i] - rows[first, i]))
     for k in range(first - 1, len(rows) - 1):
         now = max(k, first)
-        set_step(_reference(problem, now), _reference(problem, now + 1), problem.plant, model, a, b, d)
+        set_step(problem, reference_of(problem, now), reference_of(problem, now + 1), a, b, d)
         torque = rows[now, TORQUE]
         for i in range(4):
             torque -= rows[now, GAIN + i] * z[i]
@@ -159,24 +139,18 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: Li
 
 
 @compiled
-def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> float:
-    """Write the law of a step of improvement, and return what the task charges for the plan as it is.
+def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, sample: Sample) -> float:
+    """Write the law of a step of improvement into `PlanRoom.steps`, K and, in the last column, c of each sample.
 
-    Args:
-        rows: The plan, shape (1200, 10).
-        steps: K and, in the last column, c of each sample, shape (1200, 6); written.
-        first: Sample from which torques may change.
-        problem: Arm and move.
-        model: Of the arm.
-        sample: Room.
+    Returns what the task charges for the plan as it is.
     """
     total, to_go, errors, plant = 0.0, no_cost(5), sample.errors, problem.plant
-    after = _reference(problem, len(rows) - 1)
+    after = reference_of(problem, len(rows) - 1)
     for k in range(len(rows) - 2, first - 1, -1):
-        now, torque = _reference(problem, k), rows[k, TORQUE]
-        set_step(now, after, plant, model, sample.transition, sample.by_input, sample.slope)
+        now, torque = reference_of(problem, k), rows[k, TORQUE]
+        set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
         write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, sample.of_state)
-        x = ArmState(rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2], rows[k + 1, 3])
+        x = ArmState._make(rows[k + 1, i] for i in range(4))
         _write_errors(x, after, plant, errors)
         jump = torque - rows[k - 1, TORQUE]
         total += _charge(errors, jump, plant)
@@ -189,13 +163,13 @@ def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, model: Lin
 
 
 @compiled
-def _follow(steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> None:
+def _follow(steps: Floats, first: int, problem: Problem, sample: Sample) -> None:
     """Replace the law of a step by what it changes: the state after each sample, and the torque."""
     away, following, last = np.zeros(4), np.zeros(4), 0.0
-    now = _reference(problem, first)
+    now = reference_of(problem, first)
     for k in range(first, len(steps) - 1):
-        after = _reference(problem, k + 1)
-        set_step(now, after, problem.plant, model, sample.transition, sample.by_input, sample.slope)
+        after = reference_of(problem, k + 1)
+        set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
         last = followed_change(4, steps[k, 5], steps[k, :5], away, last)
         deviate(4, sample.transition, sample.by_input, away, last, following)
         for i in range(4):
@@ -205,18 +179,11 @@ def _follow(steps: Floats, first: int, problem: Problem, model: LinearArms, samp
 
 
 @compiled
-def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
-    """Improve a plan from a sample on; tell whether there was anything to gain.
-
-    Args:
-        rows: Reference, gain, torque, shape (1200, 10), once `anchor` has been there; changed.
-        first: First sample whose torque may change, from 1 on.
-        problem: Arm and move.
-        room: With the arm's model; changed.
-    """
-    steps, sample = room.steps, empty_sample(5)
-    cost = _solve(rows, steps, first, problem, room.model, sample)
-    _follow(steps, first, problem, room.model, sample)
+def improve(rows: Floats, first: int, problem: Problem, steps: Floats) -> bool:
+    """Improve an anchored plan from a sample on, 1 at least; tell whether there was anything to gain."""
+    sample = empty_sample(5)
+    cost = _solve(rows, steps, first, problem, sample)
+    _follow(steps, first, problem, sample)
     share = 1.0
     while share >= _SHORTEST:
         if _cost(rows, steps, first, share, problem) < cost:
@@ -230,61 +197,21 @@ def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
 
 
 @compiled
-def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, first: int, room: PlanRoom, rows: Floats) -> None:
-    """Plan a move for squares, from a sample on.
-
-    Args:
-        move: Of the joint.
-        row: Constants of the arm, shape (len(FIELDS),).
-        cost: What is minimised.
-        first: Sample.
-        room: Changed; holds the arm's model then.
-        rows: Reference, gain, torque; shape (1200, 10), written from the sample on.
-    """
-    write_linear_arm(row, room.model)
-    plan_rows(move, plant_of(row), room.model, cost, first, rows)
-
-
-@compiled
-def refine(
-    move: MoveShape, row: Floats, time: float, state: Floats, improvements: int, room: PlanRoom, rows: Floats
-) -> int:
-    """Improve the rest of a plan for the task's own cost, from the state that the arm is in.
-
-    Args:
-        move: Of the joint.
-        row: Constants of the arm, shape (len(FIELDS),).
-        time: At which commands begin to act, since the episode's start [samples].
-        state: x then, shape (4,).
-        improvements: Steps at most; fewer where there is nothing left to gain.
-        room: With the arm's model; changed.
-        rows: As of `plan_squares`, from the time on; changed.
-
-    Returns:
-        How many steps there were.
-    """
-    if not time < _LAST:
+def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> int:
+    """Improve the rest of a plan for the task's own cost, and return by how many steps; `steps` is `PlanRoom.steps`."""
+    if not start.time < _LAST:
         return 0
-    problem = problem_of(move, row)
-    anchor(rows, time, state, problem, room.model)
-    for count in range(improvements):
-        if not improve(rows, int(time) + 1, problem, room):
+    anchor(rows, start.time, start.state, problem)
+    for count in range(start.improvements):
+        if not improve(rows, int(start.time) + 1, problem, steps):
             return count
-    return improvements
+    return start.improvements
 
 
 @compiled
-def plan_task(
-    move: MoveShape,
-    row: Floats,
-    cost: PlanCost,
-    first: int,
-    time: float,
-    state: Floats,
-    improvements: int,
-    room: PlanRoom,
-    rows: Floats,
-) -> int:
-    """Plan a move for squares from a sample on, as `plan_squares` does, and refine the plan, see `refine`."""
-    plan_squares(move, row, cost, first, room, rows)
-    return refine(move, row, time, state, improvements, room, rows)
+def plan_task(move: MoveShape, row: Floats, weights: Weights, start: Start, room: PlanRoom, rows: Floats) -> None:
+    """Plan a move for squares and refine the plan; `room.model` is that of the arm then."""
+    write_linear_arm(row, room.model)
+    problem = problem_of(move, row, room.model, weights)
+    plan_backwards(problem, no_cost(5), start.first, len(rows), rows)
+    refine(problem, start, room.steps, rows)

@@ -49,14 +49,14 @@ class ErrorWeights(NamedTuple):
 
 @inlined
 def write_tip_errors(angle: float, speed: float, bounded: float, plant: Plant, errors: Floats) -> None:
-    """Write C, of the errors C z: radial and lateral position [m], then radial and lateral velocity [m/s].
+    """Write C, shape (4, 4), of the errors C z: radial and lateral position [m], then their velocities [m/s].
 
     Args:
         angle: Joint angle of the reference [rad].
         speed: Its rate [rad/s].
         bounded: s, the bounded sine of the angle.
         plant: Coefficients of the arm.
-        errors: C, shape (4, 4), written.
+        errors: C, written.
     """
     sine, cosine = sine_cosine(angle)
     radial, reach = plant.double_link * bounded, plant.double_link * cosine + plant.hand
@@ -70,13 +70,7 @@ def write_tip_errors(angle: float, speed: float, bounded: float, plant: Plant, e
 
 @inlined
 def add_tip_cost(cost: Floats, errors: Floats, weights: ErrorWeights) -> None:
-    """Add the squares of the tip's errors to a quadratic cost z'Qz: C'WC to the first four rows and columns of Q.
-
-    Args:
-        cost: Q, shape (n, n); of a state of which z is the beginning.
-        errors: C, shape (4, 4), see `write_tip_errors`.
-        weights: Diagonal of W, see `error_weights`.
-    """
+    """Add C'WC, the squares of the tip's errors, to Q of a quadratic cost z'Qz of a state that begins with z."""
     for k in range(4):
         weight = weights.position if k < 2 else weights.velocity
         for i in range(4):
@@ -84,10 +78,7 @@ def add_tip_cost(cost: Floats, errors: Floats, weights: ErrorWeights) -> None:
                 cost[i, j] += weight * (errors[k, i] * errors[k, j])  # in this order it stays symmetric, bit for bit
 
 
+@inlined
 def error_weights(velocity: float) -> ErrorWeights:
-    """Weights of the tip's squared errors, relative to the scales of the task's cost.
-
-    Args:
-        velocity: Weight of the velocity's error, where the position's has 1.
-    """
+    """Weights of the tip's squared errors over the scales of the task's cost; `velocity` times as much for velocity."""
     return ErrorWeights(1 / POSITION_SCALE**2, velocity / VELOCITY_SCALE**2)

@@ -109,7 +109,7 @@ class _Arm:
         for price in _PRICES:
             weights = norm_weights(trial.errors, step, self.limit, price, (softness, softness))
             found.append(optimal_change(trial, weights, torque, self.limit))
-        changes, gains = zip(*found, strict=True)
+        changes, gains, _ = zip(*found, strict=True)
         return np.array(changes), np.array(gains)
 
 

@@ -94,5 +94,5 @@ class IterativeController(ClassicalController[Floats]):
         trial = Trial(transition, by_torque, np.column_stack([length * angle, none, length * speed, none]), of_state)
         scales = np.repeat(np.array([POSITION_SCALE, VELOCITY_SCALE]), 2)
         weights = Weights(np.tile(1 / scales**2, (len(angle), 1)), np.full(len(angle), _SMOOTHNESS), _EFFORT)
-        change, gain = optimal_change(trial, weights, torque)
+        change, gain, _ = optimal_change(trial, weights, torque)
         return followed(trial, change, gain)[0]

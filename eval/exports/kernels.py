@@ -22,7 +22,7 @@ from agents.policy.correction import correct
 from agents.residual.controller import combined
 from agents.residual.knowledge import cut
 from baselines.estimation.filter_design import write_inputs
-from baselines.estimation.identify import identify
+from baselines.estimation.identification import identify
 from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
 from baselines.reading import Sample, sample_from
 from beltarm_env.arm import Plant

@@ -19,7 +19,7 @@ from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
 from baselines.estimation.filter_design import empty_inputs, room_for
-from baselines.estimation.identify import empty_notes
+from baselines.estimation.identification import empty_belief
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
@@ -137,7 +137,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
-        filtering = Filtering(empty_notes(1, SIZE), empty_inputs(), room_for(1)) if identifies and own else None
+        filtering = Filtering(empty_belief(1, SIZE), empty_inputs(), room_for(1)) if identifies and own else None
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)

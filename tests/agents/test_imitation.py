@@ -69,7 +69,7 @@ class Law:
         about = linearisation.about(self.states, self.torque, self.task, self.row)
         step = np.diff(self.torque, prepend=0.0)
         weights = norm_weights(about.errors, step, self.limit, teaching._EFFORT, teaching._SOFT)
-        _, self.gain = optimal_change(about, weights, self.torque)
+        _, self.gain, _ = optimal_change(about, weights, self.torque)
 
     def cost(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Cost of the task under changes of the torque [N m], shape (candidates, 1200), simulated."""

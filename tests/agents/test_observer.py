@@ -63,7 +63,7 @@ class TestEstimates:
         estimate, _ = observer.observe(informed.seen(observation, memory))
         belief = AdaptiveController().belief(memory.base)
         assert np.allclose(estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
-        assert np.allclose(estimate.mean[:, 6:], belief.logs, rtol=1e-4, atol=1e-6)
+        assert np.allclose(estimate.mean[:, 6:], belief.tracks.mean[:, 4:10], rtol=1e-4, atol=1e-6)
         assert np.array_equal(estimate.deviation, np.ones((2, len(NAMES))))
 
     def test_sample_by_sample_is_what_was_fitted(self):

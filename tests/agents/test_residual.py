@@ -173,11 +173,11 @@ def test_what_the_agent_observes():
         unexplained.append(belief.angle - belief.state[:, 0])
         commands.append(action[:, 0])
         if sample % SETTINGS.hold == 0:
+            z, doubt = belief.tracks.mean, np.sqrt(belief.tracks.covariance[:, 5, 5])
             expected = {
-                **{"base_torque": action[:, 0], "believed_torsion": belief.state[:, 2]},
-                **{"believed_belt_stiffness": belief.logs[:, 1], "believed_delay": belief.delay},
-                **{"doubt_of_belt_stiffness": np.sqrt(belief.variance[:, 5]), "surprise": belief.tracks.surprise},
-                "unexplained_angle_0": unexplained[-1],
+                **{"base_torque": action[:, 0], "believed_torsion": z[:, 2], "believed_delay": z[:, 10]},
+                **{"believed_belt_stiffness": z[:, 5], "doubt_of_belt_stiffness": doubt},
+                **{"surprise": belief.tracks.surprise, "unexplained_angle_0": unexplained[-1]},
             }
             if sample > 0:
                 expected |= {"unexplained_angle_3": unexplained[-4], "command_2_before_last": commands[-4]}

@@ -11,14 +11,13 @@ from episodes import memory_after
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation import believed_arm as arm_of
-from baselines.estimation.accelerometer import SPREAD, unfiltered
-from baselines.estimation.accelerometer_observer import acceleration_slopes, steady_accelerometer_gain
-from baselines.estimation.believed_arm import GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
+from baselines.estimation.accelerometer import SPREAD, acceleration_slopes, steady_accelerometer_gain, unfiltered
+from baselines.estimation.believed_arm import DELAY, GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
 from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.gains import tuned
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
 from baselines.registry import WITH_ACCELEROMETER
@@ -117,7 +116,7 @@ class TestMeasurementEquation:
         turned = np.stack(
             [(mean * along).sum(-1), mean[..., 1] * along[..., 0] - mean[..., 0] * along[..., 1]], axis=-1
         )
-        reported = np.array([unfiltered(now, before)[0].T for before, now in pairwise(felt)])
+        reported = np.array([unfiltered(now, before)[0] for before, now in pairwise(felt)])
         errors = reported - turned
         assert np.abs(turned[..., 1]).max() > 30 * SPREAD and np.abs(turned[..., 0]).max() > 10 * SPREAD
         assert np.abs(errors.mean(0)).max() < BIAS
@@ -128,14 +127,14 @@ class TestMeasurementEquation:
     def test_a_reading_that_is_cut_off_tells_nothing(self):
         now = np.array([[1.0, RANGE], [1.0, 2.0]])
         _, variance = unfiltered(now, np.ones((2, 2)))
-        assert variance[0] == pytest.approx(SPREAD**2)
-        assert variance[1, 1] == pytest.approx(SPREAD**2) and variance[1, 0] > 1e5
+        assert variance[:, 0] == pytest.approx(SPREAD**2)
+        assert variance[1, 1] == pytest.approx(SPREAD**2) and variance[0, 1] > 1e5
 
 
 def test_gains_are_those_of_a_filter_that_also_keeps_the_state_before():
     """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
     k, params, spread = 20, design_model(), (SPREAD, 3 * SPREAD)
-    arm, slopes = LinearArms(*(part[k] for part in linear_arm(params))), acceleration_slopes(ANGLES[k], params.plant())
+    arm, slopes = linear_arm(params).at(k), acceleration_slopes(ANGLES[k], params.plant())
     single, process = np.eye(5), np.zeros((5, 5))
     single[:4, :4], single[:4, 4] = arm.transition, arm.by_torque
     for by_noise, deviation in ((arm.by_torque, 5e-3), (arm.by_acceleration, 0.3)):
@@ -162,8 +161,9 @@ def test_kinematic_error_and_zero_g_output_are_found():
     np.testing.assert_allclose(z[arm_of.ERROR_SINE], size * np.cos(phase), atol=8e-6)
     np.testing.assert_allclose(z[arm_of.ERROR_COSINE], size * np.sin(phase), atol=8e-6)
     assert size.max() > 2e-4
-    np.testing.assert_allclose(z[arm_of.BIAS :].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
-    assert np.sqrt(memory.belief.variance[:, arm_of.BIAS :]).max() < 0.5 * SPREAD
+    bias = slice(arm_of.BIAS, arm_of.ACCELEROMETER_SIZE)
+    np.testing.assert_allclose(z[bias].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
+    assert np.sqrt(memory.belief.tracks.covariance[:, bias, bias].diagonal(0, 1, 2)).max() < 0.5 * SPREAD
 
 
 TRAIN_SEED = 5_000_000
@@ -200,13 +200,13 @@ class TestIdentification:
     def test_finds_the_constants_of_drawn_arms_and_is_right_within_what_it_says_of_itself(self):
         env, controller = batch(64, randomization="train"), AdaptiveController()
         belief = believed_after(controller, env, 600)
-        error = belief.logs - true_logs(env, controller.params)
-        assert (np.sqrt(np.mean(error**2 / belief.variance[:, LOGS], axis=0)) < 2.0).all()
+        error = belief.tracks.mean[:, LOGS] - true_logs(env, controller.params)
+        assert (np.sqrt(np.mean(error**2 / belief.tracks.covariance.diagonal(0, 1, 2)[:, LOGS], axis=0)) < 2.0).all()
         most = {"arm_inertia_swing": 0.13, "belt_stiffness": 0.1, "motor_inertia": 0.05, "coulomb_friction": 0.1}
         for name, bound in most.items():
             assert np.sqrt(np.mean(error[:, IDENTIFIED.index(name)] ** 2)) < bound, name
-        assert np.sqrt(np.mean((belief.delay - true_delays(env)) ** 2)) < 0.1  # samples
-        tables, (size, phase) = (env.params_table, ArmIdentifier(design_model()).table(belief)), VARIATION
+        assert np.sqrt(np.mean((belief.tracks.mean[:, DELAY] - true_delays(env)) ** 2)) < 0.1  # samples
+        tables, (size, phase) = (env.params_table, ArmIdentifier(design_model()).estimate(belief).table), VARIATION
         true, believed = (table[:, size] * np.exp(1j * table[:, phase]) for table in tables)
         assert np.median(np.abs(believed - true)) < 0.03
 
@@ -234,8 +234,8 @@ class TestIdentification:
     ):
         env = batch(24, randomization="train", delay=delay, encoder_counts=counts)
         belief = believed_after(AdaptiveController(params=nominal), env, 150)
-        assert np.sqrt(np.mean((belief.delay - true_delays(env) - delay) ** 2)) < 0.2
-        np.testing.assert_allclose(belief.count, 2 * np.pi / counts, rtol=0.05)
+        assert np.sqrt(np.mean((belief.tracks.mean[:, DELAY] - true_delays(env) - delay) ** 2)) < 0.2
+        np.testing.assert_allclose(belief.counts, 2 * np.pi / counts, rtol=0.05)
 
 
 class TestParts:
@@ -251,7 +251,7 @@ class TestParts:
         for holds in (False, True, True, False, False):
             unmoved = identifier.update(belief, reading._replace(step=np.ones(4, np.intp)), going)
             belief = identifier.update(belief, reading._replace(holds_part=np.full(4, float(holds))), going)
-            mean, covariance = unmoved.tracks.mean, unmoved.covariance
+            mean, covariance = unmoved.tracks.mean, unmoved.tracks.covariance
             if held:
                 covariance[:, swing] = covariance[:, :, swing] = 0.0
                 mean[:, swing], covariance[:, swing, swing] = known, doubt
@@ -264,7 +264,7 @@ class TestParts:
                 covariance[:, swing, swing] += (lever * _PART_DOUBT * doubts.swing / loaded) ** 2
                 mean[:, swing] = np.log(loaded / nominal)
             np.testing.assert_allclose(belief.tracks.mean, mean, rtol=1e-12, atol=1e-15)
-            np.testing.assert_allclose(belief.covariance, covariance, rtol=1e-12, atol=1e-18)
+            np.testing.assert_allclose(belief.tracks.covariance, covariance, rtol=1e-12, atol=1e-18)
             held = holds
 
     @pytest.mark.parametrize("accelerometer", [False, True])
@@ -273,9 +273,9 @@ class TestParts:
         reading = read(env.reset(seed=0)[0], identifier.params, "accelerometer")
         reading = reading._replace(holds_part=np.array([0.0, 1.0]))
         belief = identifier.update(None, reading, np.ones(2, np.bool_))
-        swing = identifier.table(belief)[:, COLUMN.arm_inertia_swing]
+        swing = identifier.estimate(belief).table[:, COLUMN.arm_inertia_swing]
         assert swing == pytest.approx([design_model().arm_inertia_swing, design_model().plant().inertia_swing])
-        assert belief.variance[0, LOGS.start] < belief.variance[1, LOGS.start]
+        assert np.diff(belief.tracks.covariance[:, LOGS.start, LOGS.start]) > 0
 
     def test_a_shift_costs_less_with_what_is_known_from_its_moves(self):
         """Moves two to four of 10 arms, against controllers that begin anew and do not know of parts."""
@@ -316,8 +316,8 @@ class TestTrust:
         reading = read(env.reset(seed=TRAIN_SEED)[0], identifier.params)
         reading = reading._replace(motor_angle=np.zeros(8), last_command=np.zeros(8))
         belief.tracks.mean[:, 2:4] = [torsion, 100 * torsion]  # as after a jump of the encoder by a hundred radians
-        belief.covariance[:, 2, 2] = variance
+        belief.tracks.covariance[:, 2, 2] = variance
         for _ in range(EPISODE_STEPS):
             belief = identifier.update(belief, reading, np.zeros(8, np.bool_))
-            assert np.isfinite(belief.tracks.mean).all() and (belief.variance[:, 2] <= 4).all()
-        assert (np.sqrt(belief.variance[:, 2]) < 0.02).all() and (abs(belief.state[:, 2]) < 0.02).all()
+            assert np.isfinite(belief.tracks.mean).all() and (belief.tracks.covariance[:, 2, 2] <= 4).all()
+        assert (np.sqrt(belief.tracks.covariance[:, 2, 2]) < 0.02).all() and (abs(belief.state[:, 2]) < 0.02).all()

@@ -84,7 +84,7 @@ def response(name: str, controller: Any, k: int, pulse: float) -> Floats:
         seen = [resting_observation(joint, *arm) for arm in zip(states, angles[i], last, strict=True)]
         action, memory = controller.predict(np.concatenate(seen), memory)
         if isinstance(memory, AdaptiveMemory):
-            memory = replace(memory, belief=replace(memory.belief, count=np.full(2, QUANTUM)))
+            memory = replace(memory, belief=memory.belief._replace(counts=np.full(2, QUANTUM)))
         last = action[:, 0].astype(float) * 0.3
         states = plant.advance(states, last + noise[i] + (np.array([pulse, 0.0]) if i == begin else 0.0))
     with_pulse, without = np.array(angles[begin + 1 :]).T

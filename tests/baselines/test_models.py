@@ -15,9 +15,9 @@ from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from baselines.models import friction as dry
 from baselines.models.flatness import CORNERS, flat_point, link_motion, write_corners
-from baselines.models.friction import commanded_direction, dry_friction, friction_level, smooth_direction
-from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
+from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.models.rigid_arm import rigid_torque
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
@@ -64,16 +64,16 @@ def test_what_does_not_fit_is_refused():
 
 def test_linear_models_are_the_exponential_of_the_continuous_one_and_interpolated():
     arms = [ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)]
-    tables = linear_arms(params_table(arms))
-    for i, arm in enumerate(arms):
+    for arm in arms:
+        tables = linear_arm(arm)
         for k in (0, 17, 45):
             a, b, _ = state_space(arm, float(ANGLES[k]))
             held = np.zeros((6, 6))
             held[:4, :4], held[:4, 4:5], held[3, 5] = a, b, 1.0
             stepped = expm(CONTROL_PERIOD * held)
-            np.testing.assert_allclose(tables.transition[i, k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
-            np.testing.assert_allclose(tables.by_torque[i, k], stepped[:4, 4], rtol=1e-11)
-            np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
+            np.testing.assert_allclose(tables.transition[k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
+            np.testing.assert_allclose(tables.by_torque[k], stepped[:4, 4], rtol=1e-11)
+            np.testing.assert_allclose(tables.by_acceleration[k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
     table = linear_arm(ArmParams()).by_torque
     between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
     np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
@@ -91,21 +91,23 @@ def test_computed_torque_makes_the_rigid_arm_accelerate_as_wanted(angle: float):
 
 class TestFriction:
     def test_level_falls_from_breakaway_to_coulomb_friction(self):
-        friction = dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
-        actual = [friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
+        friction = dry.dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
+        actual = [dry.friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
         np.testing.assert_allclose(actual, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
 
     def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
         motions = (0.0, 0.0), (0.0, 0.01), (0.0, -9.0), (0.5, 0.0), (9.0, -0.01), (0.5, -0.01), (-9.0, 0.0)
-        actual = [smooth_direction(speed, torque, 1.0, 0.02) for speed, torque in motions]
+        of = dry.SmoothCompensation(dry.dry_friction(ArmParams(coulomb_friction=1.0).row()), 1.0, 1.0, 0.02)
+        actual = [dry.smooth_friction(of, speed, torque) for speed, torque in motions]
         np.testing.assert_allclose(actual, [0, 0.5, -1, 0.5, 1, 0, -1])
 
     def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
+        of = dry.Compensation(dry.dry_friction(ArmParams().row()), 1.0, 0.01)
         for speed, acceleration, push, expected in (
             *((2.0, 0.0, -9.0, 1), (-0.1, 0.0, 9.0, -1), (0.0, 5.0, -9.0, 1), (0.0, 0.0, 9.0, 1)),
             *((0.0, 0.0, -0.005, -0.5), (1e-16, 0.0, 0.0, 0)),  # which rests, but for rounding
         ):
-            actual = commanded_direction(Reference(0.0, speed, acceleration), push, 0.01)
+            _, actual = dry.compensated(Reference(0.0, speed, acceleration), push, GEAR, of)
             assert actual == pytest.approx(expected, rel=1e-7)
 
 

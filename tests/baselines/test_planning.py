@@ -16,9 +16,9 @@ from baselines.models.linear import at_angle, linear_arm
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
-from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque
+from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, planned, planned_torque, problem_of
 from baselines.planning.replanning import PlanCache, Situation
-from baselines.planning.task_plan import _cost, plan_room, plan_task, problem_of
+from baselines.planning.task_plan import Start, _cost, plan_room, plan_task
 from baselines.yardsticks.clairvoyant import optimum
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
 from baselines.yardsticks.privileged import PrivilegedController
@@ -97,9 +97,9 @@ TASK_WEIGHTS = Weights(0.5, 10.0, 0.0)
 
 def task_plans(steps: int, time: float = 0.0) -> Plans:
     """Plans after some steps of improvement, for arms that rest at their start at that time."""
-    plans, cost = [np.empty((1200, 10)) for _ in MOVES], plan_cost(TASK_WEIGHTS)
+    plans = [np.empty((1200, 10)) for _ in MOVES]
     for move, row, rest, plan in zip(MOVES, TABLE, RESTS, plans, strict=True):
-        plan_task(MoveShape(*move), row, cost, 0, time, rest, steps, plan_room(), plan)
+        plan_task(MoveShape(*move), row, TASK_WEIGHTS, Start(0, time, rest, steps), plan_room(), plan)
     return plans
 
 
@@ -170,7 +170,7 @@ class TestReplanning:
         squares, improved = (before.renewed(now, TASK_WEIGHTS, steps).plans[1] for steps in (0, 2))
         assert improved is not before.plans[1] and improved[step + 5, TORQUE] != squares[step + 5, TORQUE]
         np.testing.assert_array_equal(improved[step:, GAIN:TORQUE], squares[step:, GAIN:TORQUE])
-        problem, rest = problem_of(MoveShape(*MOVES[1]), TABLE[1]), np.zeros((1200, 6))
+        problem, rest = problem_of(MoveShape(*MOVES[1]), TABLE[1], linear_arm(ARM), TASK_WEIGHTS), np.zeros((1200, 6))
         costs = [_cost(plan, rest, step + 2, 0.0, problem) for plan in (squares, improved)]
         assert costs[1] < costs[0]
 
