@@ -9,7 +9,9 @@ import ast
 import hashlib
 import os
 import platform
+import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,10 +38,18 @@ def provenance(module: str, seconds: float, starts: Iterable[str] = _STARTS) -> 
         "version": __version__,
         "commit": commit(),
         "python": python_version(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "machine": f"{_processor()}, {os.cpu_count()} cores",
         "seconds": round(seconds, 1),
         "inputs": inputs_digest(module, tuple(starts)),
     }
+
+
+def _processor() -> str:
+    """Name of this machine's processor, as far as its system tells."""
+    with suppress(OSError, IndexError):  # Linux names it there, but not on every processor
+        named = re.findall(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+        return f"{platform.machine()}, {named[0]}"
+    return platform.processor() or platform.machine()
 
 
 def python_version() -> str:

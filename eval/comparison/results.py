@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
+from importlib.util import find_spec
 from itertools import product
 from typing import Any, Literal
 
@@ -256,7 +257,8 @@ def provenance(
     command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
 ) -> dict[str, Any]:
     """Provenance of the results: command, commit, digest of the code, scenarios, policies, packages."""
-    packages = ("numpy", "scipy", "ziglang", "gymnasium")
+    packages = ["numpy", "scipy", "ziglang", "gymnasium"]
+    packages += [name for name in ("torch", "stable-baselines3") if find_spec(name.replace("-", "_"))]  # of users' own
     return {
         **about(MEASURES, seconds, STARTS),
         "command": command,

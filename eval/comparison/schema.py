@@ -176,8 +176,10 @@ def read_results(path: Path, wanted: SetLabel | None = None) -> dict[str, Any]:
     NaN and infinities become text, which the schema refuses.
 
     Raises:
-        ValueError: If it is damaged, or of another edition, version or set of the scenarios.
+        ValueError: If it is missing, damaged, or of another edition, version or set of the scenarios.
     """
+    if not path.exists():
+        raise ValueError(f"there is no {path}: name a folder that eval/compare.py has written")
     try:
         content: Any = loads(read_text(path), parse_constant=str)
         edition = content.get("edition", 1), content["version"]  # the first edition did not say that it was one

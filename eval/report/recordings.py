@@ -9,7 +9,7 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
-from eval.comparison.methods import Method
+from eval.comparison.methods import Method, is_shipped
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.rollouts import Failure, calls_side_by_side, run_controller
 from eval.comparison.splits import EPISODES, Split, beside_one_another, side_by_side
@@ -59,8 +59,8 @@ def _median(values: np.ndarray) -> int:
 def _shown(comparison: Comparison) -> list[str]:
     """Methods in all pictures: the same in each, so that a colour is one method.
 
-    The best challenger, its base, the first method, the best classical controller of each split, and as far as there is
-    room the next challenger and the next classical ones.
+    The user's own, the best challenger, its base, the first method, the best classical controller of each split, and as
+    far as there is room the next challenger and the next classical ones.
     """
     home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
@@ -69,7 +69,8 @@ def _shown(comparison: Comparison) -> list[str]:
     best = [outcome for split in comparison.splits() if (outcome := comparison.best_classical(split))]
     classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
     by_cost = sorted(classical, key=lambda outcome: outcome.cost)
-    needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *bases, *ranked[:1], *best])
+    own = [outcome for outcome in sorted(ranked, key=lambda outcome: outcome.cost) if not is_shipped(outcome.method)]
+    needed = dict.fromkeys(outcome.name for outcome in [*own, *challengers[:1], *bases, *ranked[:1], *best])
     wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *by_cost])])
     return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
 

@@ -116,9 +116,11 @@ def headline(results: Results) -> str:
 
 
 def described(results: Results) -> list[dict[str, Any]]:
-    """The project's own methods that took part, each in one line; methods that share a line are together."""
+    """Methods that took part, in lines that some of them share, the user's own last."""
     kinds = {row["method"]: row["kind"] for row in results.methods}
-    groups = [{**group, "methods": [name for name in group["methods"] if name in kinds]} for group in _METHODS]
+    known = {name for group in _METHODS for name in group["methods"]}
+    own = [{"methods": [name for name in kinds if name not in known], "text": "the user's own, or with the guard"}]
+    groups = [{**group, "methods": [name for name in group["methods"] if name in kinds]} for group in _METHODS + own]
     return [{**group, "kind": kinds[group["methods"][0]]} for group in groups if group["methods"]]
 
 

@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from math import inf, nan
 from types import SimpleNamespace
 from typing import Any
@@ -95,13 +96,18 @@ def to_terminal(table: Table, columns: int) -> TerminalTable:
     marked = [any(row.cells[k].mark in _TERMINAL for row in table.rows) for k in range(len(heads))]
     texts = [[len(row.cells[k].text) + marked[k] for row in table.rows] for k in range(len(heads))]
     widths = [max(*map(len, head), *lengths) for head, lengths in zip(heads, texts, strict=True)]
-    left = columns - 1 - sum(width + 2 for width in (0, *widths))
+    room = columns - 1 - _LEAST_NAME_WIDTH
+    fitting = max(sum(used <= room for used in accumulate(width + 2 for width in widths)), 1)
+    left = columns - 1 - sum(width + 2 for width in (0, *widths[:fitting]))
     shown.add_column("method", no_wrap=True, max_width=min(max(left, _LEAST_NAME_WIDTH), _NAME_WIDTH))
-    for head, width in zip(heads, widths, strict=True):
+    for head, width in [*zip(heads, widths, strict=True)][:fitting]:
         shown.add_column("\n".join(head), justify="right", no_wrap=True, min_width=width)
+    if fitting < len(heads):
+        missing = ", ".join(table.columns[fitting:])
+        shown.caption, shown.caption_justify = f"Not shown, for the terminal is too narrow: {missing}.", "left"
     for row in table.rows:
-        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(row.cells)]
-        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, row.cells, strict=True)]
+        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(row.cells)][:fitting]
+        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, row.cells, strict=False)]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
     return shown
 

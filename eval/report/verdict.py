@@ -23,7 +23,7 @@ from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
-from eval.comparison.splits import EPISODES
+from eval.comparison.splits import EPISODES, MOVES
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
 
 Result = Literal["better", "worse", "open"]
@@ -35,6 +35,7 @@ _WORDS: dict[str, Any] = {
     "practically_equal": _PRACTICALLY_EQUAL,
     "least": LEAST_SCENARIOS,
     "whole": EPISODES,
+    "all_moves": MOVES,
     "arrival_mm": f"{1000 * ARRIVAL_BOUND:g}",
     "still_mm": f"{1000 * STILL_BAND:g}",
 }
