@@ -111,6 +111,7 @@ static PyObject *nothing(void)
     return Py_None;
 }
 
+/* Call the variant that takes the arguments. Without one, what is missing is asked; for threads the result is False. */
 static PyObject *dispatch(Kernel *k, PyObject *const *arguments, Py_ssize_t count, int threads)
 {
     Py_ssize_t many = PyList_Size(k->variants), last = k->last;
@@ -125,6 +126,7 @@ static PyObject *dispatch(Kernel *k, PyObject *const *arguments, Py_ssize_t coun
             return result;
         }
     }
+    if (threads > 0) return PyBool_FromLong(0);
     PyObject *tuple = PyTuple_New(count);
     for (Py_ssize_t i = 0; tuple && i < count; ++i) {
         Py_IncRef(arguments[i]);
@@ -315,7 +317,7 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
 static PyMethodDef kernel_methods[] = {
     {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these"},
     {"call", (PyCFunction)(void (*)(void))kernel_call, METH_FASTCALL, "Call the variant that takes the arguments"},
-    {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads; their number comes first"},
+    {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads, whose number comes first; False without a variant for it"},
     {"bind", kernel_bind, METH_VARARGS, "Return what calls one variant, of a number, behind a tuple of arguments"},
     {NULL, NULL, 0, NULL},
 };
