@@ -31,15 +31,16 @@ class Config:
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     """Folders of runs, of policies, or of several of either. Default: the shipped policies."""
     out: Path = Path("results/curves")
-    """Folder for curves.png."""
+    """Folder for curves.png, or a picture by name: curves.pdf."""
 
 
 def run(config: Config) -> None:
     """Find the curves and draw them."""
-    require_writable(config.out)
+    picture = config.out if config.out.suffix else config.out / "curves.png"
+    require_writable(picture.parent)
     curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
-    save_figure(curves_figure(curves, levels(curves)), config.out / "curves.png")
-    print(f"{len(curves)} runs; written to {config.out / 'curves.png'}")
+    save_figure(curves_figure(curves, levels(curves)), picture)
+    print(f"{len(curves)} runs; written to {picture}")
 
 
 def main() -> None:
