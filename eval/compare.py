@@ -121,14 +121,7 @@ def run(config: Config) -> None:
     console.print(f"{sizes}. What is done is kept in {config.out}.", soft_wrap=True, highlight=False)
     with progress_count("parts", console) as done:
         comparison = compare(
-            methods,
-            scenarios,
-            count,
-            config.out,
-            config.jobs,
-            engine=config.runs_on,
-            fresh=config.fresh,
-            done=done,
+            methods, scenarios, count, config.out, config.jobs, engine=config.runs_on, fresh=config.fresh, done=done
         )
     content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
     write_text(config.out / PAGE, text_of("comparison", summary, content))

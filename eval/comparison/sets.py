@@ -27,14 +27,7 @@ from baselines.tools.provenance import last_commit_of
 from baselines.tools.schema import in_a_line, loads
 from beltarm_env.observation import index
 from beltarm_env.rollout import rollout
-from beltarm_env.task.seeds import (
-    DEVELOPMENT,
-    MAX_FRESH_SEED,
-    SeedRange,
-    arms_chosen_by,
-    fresh_arms,
-    further_arms,
-)
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, arms_chosen_by, fresh_arms, further_arms
 from eval.comparison.splits import (
     EDITION,
     EPISODES,

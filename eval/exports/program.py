@@ -31,15 +31,7 @@ from eval.comparison.sets import development_set
 from eval.exports.compilers import FLAGS, footprint, native, processors_for
 from eval.exports.folder import require_free, write_export
 from eval.exports.in_the_loop import compare
-from eval.exports.kernels import (
-    Filtering,
-    Guarded,
-    GuardMemory,
-    Learned,
-    classical,
-    learned,
-    step_of,
-)
+from eval.exports.kernels import Filtering, Guarded, GuardMemory, Learned, classical, learned, step_of
 from eval.exports.source import TEMPLATES, Loop, sources
 
 

@@ -75,13 +75,7 @@ def _slope(
 
 @inlined
 def _rk4_step(
-    x: ArmState,
-    z: float,
-    torques: tuple[float, float, float],
-    dt: float,
-    bristle: Bristle,
-    plant: Plant,
-    drive: Drive,
+    x: ArmState, z: float, torques: tuple[float, float, float], dt: float, bristle: Bristle, plant: Plant, drive: Drive
 ) -> tuple[ArmState, float]:
     """Take a classical Runge-Kutta step, with the motor's torque at its beginning, middle and end."""
     first, middle, last = torques

@@ -152,10 +152,7 @@ def _gymnax(carts: int) -> tuple[Any, Any, Any]:
 
 STEPPERS: dict[str, tuple[str, Stepper]] = {
     "BeltArm-v0, ideal drives": ("beltarm_env", partial(batch_steps, "BeltArm-v0", randomization="ideal")),
-    "BeltArm-v0, all effects of the drive": (
-        "beltarm_env",
-        partial(batch_steps, "BeltArm-v0", randomization="train"),
-    ),
+    "BeltArm-v0, all effects of the drive": ("beltarm_env", partial(batch_steps, "BeltArm-v0", randomization="train")),
     "CartPole-v1, Gymnasium": ("gymnasium", partial(batch_steps, "CartPole-v1")),
     "CartPole-v1, EnvPool": ("envpool", _envpool),
     "CartPole-v1, gymnax": ("gymnax", _gymnax_steps),
