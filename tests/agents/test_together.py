@@ -108,8 +108,7 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         assert memory.informed is not None
         base, reading = memory.informed.action[0, 0], memory.informed.reading
         now = NOTHING if reading is None else sample_of(reading, 0)
-        notes = None if memory.informed.belief is None else memory.informed.belief.notes
-        residual = correct(kernel.design, seen[0], base, now, notes, begins, kernel.memory)
+        residual = correct(kernel.design, seen[0], base, now, memory.informed.belief, begins, kernel.memory)
         assert residual == memory.residual[0, 0]
         assert combined(base, residual, kernel.design.limit) == action[0, 0]
         residuals.append(residual)
