@@ -129,7 +129,8 @@ class Kernel:
 
     def share(self, threads: int, arguments: tuple[Any, ...]) -> None:
         """Run it in several threads, see `in_threads`."""
-        if self._compiled is not None and self._compiled.share(threads, *arguments) is None:
+        compiled: Any = self._compiled
+        if compiled is not None and compiled.share(threads, *arguments) is None:
             return
         if self._variant((0, *arguments)) is None:
             self.py_func(0, *arguments)

@@ -25,7 +25,7 @@ from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, 
 from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
 from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
 from baselines.servo.pid import INTEGRAL, MOST_RAMPS
-from baselines.servo.shaping import ExtraInsensitiveGains, ZvController
+from baselines.servo.shaping import ExtraInsensitiveGains
 from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.observation import decode
@@ -145,7 +145,7 @@ def test_commands_on_their_way_are_no_disturbance(known: bool, actual: tuple[flo
     assert actual[0] <= largest < actual[1]
 
 
-def planned(controller: SmoothController | ZvController, move: np.ndarray) -> Ramps:
+def planned(controller: Any, move: np.ndarray) -> Ramps:
     ramps = Ramps(*np.zeros((3, MOST_RAMPS)))
     plan = plan_smooth if isinstance(controller, SmoothController) else shaping.plan_shaped
     plan(controller.kernel().design, MoveShape(*move), ramps)
@@ -159,7 +159,8 @@ def along(ramps: Ramps, start: float, time: float, smooth: bool = False) -> Refe
 
 def shaper(kind: str, mode: Mode, vibration: float) -> tuple[np.ndarray, np.ndarray]:
     gains = ExtraInsensitiveGains(vibration=vibration)
-    shares = np.array(TUNABLE[kind].controller(gains).shares())
+    made: Any = TUNABLE[kind].controller(gains)
+    shares = np.array(made.shares())
     ramps = Ramps(*np.zeros((3, len(shares))))
     shaping.write_impulses(shares, mode, 0, ramps)
     return ramps.speed, ramps.onset
