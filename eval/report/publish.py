@@ -23,7 +23,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from baselines.tools.files import write_text
-from baselines.tools.progress import progress_over
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.metrics import ARRIVAL_BOUND, SETTLING_BAND, heading
 from beltarm_env.rollout import Recording
@@ -31,7 +30,7 @@ from beltarm_env.task.cost import STILL_BAND
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 from eval.comparison.check import PERIOD_US
 from eval.comparison.results import PAIRED_METRICS, Comparison
-from eval.comparison.rollouts import Failure
+from eval.comparison.rollouts import Failure, calls_side_by_side
 from eval.comparison.schema import write_results
 from eval.comparison.splits import EDITION, SPLITS, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
@@ -76,10 +75,16 @@ def publish(
     scenes, traces, failures = record_scenes(comparison, splits, jobs)
     comparison = comparison.with_failures(failures)
     content = write_results(comparison, folder, *verdict(comparison))
-    write_text(folder / "report.html", render(content, scenes))
-    for name, draw in progress_over("pictures", plots(Results(content), traces).items()):
-        save_figures({name: draw}, folder)
+    calls: dict[str, Callable[[], object]] = {"report.html": partial(_write_report, folder, content, scenes)}
+    calls |= {
+        name: partial(save_figures, {name: draw}, folder) for name, draw in plots(Results(content), traces).items()
+    }
+    calls_side_by_side("report and pictures", calls, jobs)
     return content, comparison.failures
+
+
+def _write_report(folder: Path, content: dict[str, Any], scenes: Sequence[Scene]) -> None:
+    write_text(folder / "report.html", render(content, scenes))
 
 
 def print_results(content: dict[str, Any], console: Console) -> None:
