@@ -207,9 +207,12 @@ def times_of(methods: Iterable[Method]) -> dict[str, ActionTimes | Failure]:
     for method in methods:
         added = method.kind == "added"
         failure = run_controller(method, "", partial(_first_failure, method)) if added else None
-        alone = lambda method=method: action_times(method.controller(0, [ArmParams()]), method.sensors)  # noqa: E731
-        results[method.name] = failure or run_controller(method, "", alone, "one arm")
+        results[method.name] = failure or run_controller(method, "", partial(_time, method), "one arm")
     return results
+
+
+def _time(method: Method) -> ActionTimes:
+    return action_times(method.controller(0, [ArmParams()]), method.sensors)
 
 
 def _first_failure(method: Method) -> Failure | None:
