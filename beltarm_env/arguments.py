@@ -18,8 +18,8 @@ def fixed(name: str, argument: str = "") -> Any:
     """Property that reads `_name` and refuses to be set: what an environment has derived from it would not follow."""
 
     def refuse(_: Any, value: object) -> None:
-        remedy = f"{argument or name}={value!r}"
-        raise AttributeError(f"{name} is fixed when an environment is made: make a new one with {remedy}")
+        given = argument or name
+        raise AttributeError(f"{given} is fixed when an environment is made: make a new one with {given}={value!r}")
 
     return property(attrgetter(f"_{name}"), refuse)
 

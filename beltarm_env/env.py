@@ -57,7 +57,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     ## Action Space
 
     `Box(-1, 1, (1,), float32)`: motor torque over the torque limit (0.3 N m), held for the step. Values outside are
-    cut; non-finite ones raise.
+    cut; those that are not finite, or beyond 1e300, raise.
 
     ## Observation Space
 

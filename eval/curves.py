@@ -15,6 +15,7 @@ from baselines.tools.command import run_command, stop_without
 
 try:
     import tyro
+    from matplotlib.backend_bases import FigureCanvasBase
 
     from agents.policy.bundle import POLICIES
     from baselines.tools.files import require_writable
@@ -36,7 +37,8 @@ class Config:
 
 def run(config: Config) -> None:
     """Find the curves and draw them."""
-    picture = config.out if config.out.suffix else config.out / "curves.png"
+    named = config.out.suffix[1:] in FigureCanvasBase.filetypes
+    picture = config.out if named else config.out / "curves.png"
     require_writable(picture.parent)
     curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
     save_figure(curves_figure(curves, levels(curves)), picture)

@@ -14,6 +14,7 @@ from glob import escape
 from pathlib import Path
 
 import numpy as np
+from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 _MARK = b"sha256:"  # before the hash at the end of a file
@@ -98,7 +99,10 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read what `write_arrays` wrote; raises the errors of `read_sealed`."""
-    return load(read_sealed(path))
+    try:
+        return load(read_sealed(path))
+    except SafetensorError as error:
+        raise ValueError(f"it does not hold arrays: {error}") from None
 
 
 def replace_folder(folder: Path, made: Path) -> None:

@@ -54,7 +54,7 @@ def bound(kernel: Callable[..., _R], first: tuple[Any, ...], *others: Any) -> Ca
 
     Args:
         kernel: So short that other threads of Python may wait for it.
-        first: Arguments, which are looked at now: their arrays must not be resized.
+        first: Arguments, which are looked at now: their arrays keep memory, shape and flags.
         *others: Of the types that all further ones will have.
     """
     return kernel.bound(first, others) if isinstance(kernel, Kernel) else partial(kernel, *first)
@@ -125,17 +125,19 @@ class Kernel:
     def bound(self, first: tuple[Any, ...], others: tuple[Any, ...]) -> Callable[..., Any]:
         """Return what runs it behind its first arguments, see `bound`."""
         variant = self._variant((*first, *others))
-        return partial(self.py_func, *first) if variant is None else self._compiled.bind(variant, first)
+        return partial(self._in_python, *first) if variant is None else self._compiled.bind(variant, first)
 
     def share(self, threads: int, arguments: tuple[Any, ...]) -> None:
         """Run it in several threads, see `in_threads`."""
         compiled: Any = self._compiled
         if compiled is not None and compiled.share(threads, *arguments) is None:
             return
-        if self._variant((0, *arguments)) is None:
-            self.py_func(0, *arguments)
-        else:
-            self._compiled.share(threads, *arguments)
+        usual = tuple(map(_usual, arguments))
+        variant = self._variant((0, *usual))
+        if variant is None:
+            self.py_func(0, *usual)
+        elif self._compiled.share(threads, *usual) is not None:
+            self._compiled.bind(variant, ())(0, *usual)  # which says what does not fit
 
     def _ordered(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
         bound = self._signature.bind(*arguments, **named)
@@ -194,8 +196,7 @@ class Kernel:
         except (TranslationError, building.BuildError) as error:
             self._refuse(types, error)
             return None
-        self._compiled.add(address, *types, returns, finish)
-        self._variants[types] = number = len(self._variants)
+        self._variants[types] = number = self._compiled.add(address, *types, returns, finish)
         return number
 
     def _refuse(self, types: Any, error: Exception) -> None:

@@ -154,10 +154,12 @@ def read_kept(part: Part, folder: Path) -> Metrics | None:
     """Read the results of a part; None if there are none, or damaged ones, which are removed."""
     if part.method.identity is None:
         return None
-    path = part.file(folder)
+    path, shape = part.file(folder), (len(part.method.sources), part.count)
     with suppress(OSError, ValueError, KeyError):
         kept = read_arrays(path)
-        return {name: kept[name] for name in part.tables}
+        metrics = {name: kept[name] for name in part.tables}
+        if all(t.shape == shape and t.dtype == np.float64 and np.isfinite(t).all() for t in metrics.values()):
+            return metrics
     path.unlink(missing_ok=True)
     return None
 

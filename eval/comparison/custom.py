@@ -87,7 +87,8 @@ def home(spec: str) -> Path:
         return _home_of_module(spec, *where.split("."))
     if not Path(where).is_file():
         raise ValueError(f"{spec} cannot be imported: there is no file {where}")
-    if not re.search(rf"\b{name}\b|import \*|globals\(|__getattr__", Path(where).read_text(errors="replace")):
+    made_otherwise = r"import \*|(globals|vars|locals|setattr|exec)\(|__getattr__"
+    if not re.search(rf"\b{name}\b|{made_otherwise}", Path(where).read_text(errors="replace")):
         raise ValueError(f"{where} has no class or function {name!r}")
     folder = Path(where).resolve().parent
     while (folder.parent / "__init__.py").exists():

@@ -16,6 +16,7 @@ from safetensors.numpy import save
 from agents.policy.bundle import POLICIES, save_bundle
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
+from baselines.tools.files import sealed
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
@@ -132,6 +133,11 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
         path.write_bytes(data)
         assert read_kept(part(), tmp_path) is None and not path.exists()
     assert isinstance(measured, dict)
+    cost = measured["cost"]
+    foreign = [save({**measured, "cost": other}) for other in (cost[:, 1:], cost.astype(np.int8), np.nan * cost)]
+    for data in (b"no safetensors", *foreign):
+        path.write_bytes(sealed(data))
+        assert read_kept(part(), tmp_path) is None and not path.exists()
     path.write_bytes(save({**measured, "cost": 0.5 * measured["cost"]}))
     assert_same(run_parts([part()], tmp_path, 1), [measured])
 

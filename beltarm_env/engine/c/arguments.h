@@ -106,7 +106,7 @@ static bool is_whole(PyTypeObject *type)
     return (PyType_GetFlags(type) & Py_TPFLAGS_LONG_SUBCLASS) != 0 && type != &PyBool_Type;
 }
 
-/* What a node is about; `arguments` are those behind the bound ones. */
+/* The object that a node describes; `arguments` are those behind the bound ones. */
 static PyObject *object_of(const Call *c, const Node *node, PyObject *const *arguments)
 {
     return node->parent < 0 ? arguments[node->index - c->bound] : PyTuple_GetItem(c->tuples[node->parent], node->index);

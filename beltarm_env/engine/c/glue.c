@@ -59,13 +59,15 @@ static PyObject *run(const Variant *v, Call *c, int threads)
         return PyErr_NoMemory();
     }
     int helped = threads > 1 ? ready_helpers(threads) : 0;
+    if (v->allocates) memset(c->out, 0, sizeof(Slot) * (size_t)v->slots);
     PyThreadState *state = c->bound > 0 ? NULL : PyEval_SaveThread();
     text = threads > 0 ? run_shared(v, c, threads, helped, room) : v->entry(c->p, c->r, c->n, c->out);
     if (state) PyEval_RestoreThread(state);
     release_arrays(c);
     if (room != small) PyMem_Free(room);
-    if (text) return PyErr_Format(PyExc_ValueError, "%s", text);
-    return result_of(v, c->out);
+    if (text == NULL) return result_of(v, c->out);
+    free_new_arrays(v, c->out);
+    return PyErr_Format(PyExc_ValueError, "%s", text);
 }
 
 /* Lay out the memory of a call. */
@@ -111,12 +113,20 @@ static PyObject *nothing(void)
     return Py_None;
 }
 
+/* Tell whether a kernel has its parts: the garbage collector may have taken them. If not, there is an error. */
+static bool is_whole_kernel(const Kernel *k)
+{
+    if (k->variants == NULL) PyErr_SetString(PyExc_TypeError, "this kernel is gone");
+    return k->variants != NULL;
+}
+
 /* Call the variant that takes the arguments. Without one, what is missing is asked; for threads the result is False. */
 static PyObject *dispatch(Kernel *k, PyObject *const *arguments, Py_ssize_t count, int threads)
 {
-    Py_ssize_t many = PyList_Size(k->variants), last = k->last;
+    Py_ssize_t many, last = k->last;
     PyObject *result = NULL;
-    if (many < 0) return NULL; /* the garbage collector was here */
+    if (!is_whole_kernel(k)) return NULL;
+    many = PyList_Size(k->variants);
     for (Py_ssize_t turn = 0; turn < many; ++turn) {
         Py_ssize_t i = turn == 0 ? last : turn <= last ? turn - 1 : turn;
         const Variant *v = (Variant *)PyList_GetItem(k->variants, i);
@@ -267,7 +277,8 @@ static PyObject *kernel_add(PyObject *self, PyObject *arguments)
 {
     unsigned long long address;
     const char *spec, *returns;
-    PyObject *constants, *finish;
+    PyObject *constants, *finish, *variants = ((Kernel *)self)->variants;
+    if (!is_whole_kernel((Kernel *)self)) return NULL;
     if (!PyArg_ParseTuple(arguments, "KsO!sO:add", &address, &spec, &PyTuple_Type, &constants, &returns, &finish)) {
         return NULL;
     }
@@ -281,9 +292,9 @@ static PyObject *kernel_add(PyObject *self, PyObject *arguments)
         Py_IncRef(finish);
         v->finish = finish;
     }
-    bool added = set_up(v, spec, returns) && PyList_Append(((Kernel *)self)->variants, (PyObject *)v) == 0;
+    bool added = set_up(v, spec, returns) && PyList_Append(variants, (PyObject *)v) == 0;
     Py_DecRef((PyObject *)v);
-    return added ? nothing() : NULL;
+    return added ? PyLong_FromLongLong(PyList_Size(variants) - 1) : NULL;
 }
 
 static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
@@ -292,6 +303,7 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
     PyObject *objects[MAX_BOUND], *arguments, *function = NULL;
     Py_ssize_t i, failed;
     if (!PyArg_ParseTuple(numbered, "nO!:bind", &i, &PyTuple_Type, &arguments)) return NULL;
+    if (!is_whole_kernel((Kernel *)self)) return NULL;
     PyObject *variant = PyList_GetItem(((Kernel *)self)->variants, i);
     Bound *b = variant ? (Bound *)new_object(types_of(self)->bound) : NULL;
     if (b == NULL) return NULL;
@@ -315,7 +327,7 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
 }
 
 static PyMethodDef kernel_methods[] = {
-    {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these"},
+    {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these; returns its number"},
     {"call", (PyCFunction)(void (*)(void))kernel_call, METH_FASTCALL, "Call the variant that takes the arguments"},
     {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads, whose number comes first; False without a variant for it"},
     {"bind", kernel_bind, METH_VARARGS, "Return what calls one variant, of a number, behind a tuple of arguments"},
@@ -348,7 +360,9 @@ static int set_up_module(PyObject *module)
     types->variant = (PyTypeObject *)PyType_FromModuleAndSpec(module, &variant_spec, NULL);
     types->bound = (PyTypeObject *)PyType_FromModuleAndSpec(module, &bound_spec, NULL);
     if (kernel == NULL || types->variant == NULL || types->bound == NULL) return -1;
-    return PyModule_AddType(module, (PyTypeObject *)kernel);
+    int added = PyModule_AddType(module, (PyTypeObject *)kernel);
+    Py_DecRef(kernel);
+    return added;
 }
 
 static PyObject *module_know_arrays(PyObject *self, PyObject *arrays)

@@ -41,7 +41,7 @@ static PyObject *new_array(const char *s, const Slot *out)
     return NULL;
 }
 
-/* A copy of the dict with the keys alone is filled: it has its size already. */
+/* Fill a copy of the prepared dict, which need not grow. */
 static PyObject *new_dict(PyObject *keys, const char **s, const Slot **out)
 {
     PyObject *dict = PyDict_Copy(keys), *key, *value;
@@ -92,15 +92,21 @@ static PyObject *make(const Variant *v, const char **s, const Slot **out)
     return *at == 'A' ? new_array(at, slot) : new_number(*at, slot);
 }
 
+/* Free the memory that a kernel has allocated for results. */
+static void free_new_arrays(const Variant *v, const Slot *out)
+{
+    for (const char *s = v->returns; v->allocates && *s; s = behind(s)) {
+        if (*s == 'A') free(out->p);
+        out += *s == 'A' ? 1 + (s[2] - '0') : opens(*s) || closes(*s) || *s == '0' ? 0 : 1;
+    }
+}
+
 static PyObject *result_of(const Variant *v, const Slot *out)
 {
     const char *s = v->returns;
     const Slot *next = out;
     PyObject *result = make(v, &s, &next);
-    for (s = v->returns, next = out; v->allocates && *s; s = behind(s)) { /* results that are arrays are the kernel's memory */
-        if (*s == 'A') free(next->p);
-        next += *s == 'A' ? 1 + (s[2] - '0') : opens(*s) || closes(*s) || *s == '0' ? 0 : 1;
-    }
+    free_new_arrays(v, out);
     if (result == NULL || v->finish == NULL) return result;
     PyObject *finished = PyObject_CallFunctionObjArgs(v->finish, result, NULL);
     Py_DecRef(result);

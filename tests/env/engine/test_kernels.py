@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from recording_calls import contents, copied
 
-from beltarm_env.engine import PLAIN, bound, building, compiled, inlined, kernels
+from beltarm_env.engine import PLAIN, bound, building, compiled, in_threads, inlined, kernels
 
 pytestmark = pytest.mark.skipif(PLAIN or building.compiler() is None, reason="kernels run in plain Python")
 
@@ -162,6 +162,21 @@ def test_first_arguments_are_bound_and_others_have_their_types():
     for others, words in (((1.0,), "argument 1"), ((), "2 arguments are expected, not 1"), ((1, 2), "not 3")):
         with pytest.raises(TypeError, match=words):
             run(*others)
+
+
+@kernel_of
+def filled(thread: int, row: Any, word: str) -> None:
+    row[thread] = 1.0 if word == "one" else 2.0
+
+
+def test_in_threads_equal_words_are_one_and_what_does_not_fit_is_named():
+    for word in ("one", "".join(["o", "ne"])):
+        row = np.zeros(2)
+        in_threads(filled, 2, row, word)
+        assert row.tolist() == [1.0, 1.0]
+    unaligned = np.zeros(17, np.uint8)[1:].view(np.float64)
+    with pytest.raises(TypeError, match=r"argument 1: .*not aligned"):
+        in_threads(filled, 2, unaligned, "one")
 
 
 def made(gain: float, of: Any) -> Any:
