@@ -90,20 +90,6 @@ def rigid_torque(params: ArmParams, angle: Floats, speed: Floats, acceleration: 
 
 class TestDrawnMoves:
     @ALL
-    @examples(60)
-    @given(uniforms=UNIFORMS)
-    def test_are_within_bounds_and_feasible(self, profile: int, uniforms: list[float]):
-        (row,) = draw(profile, uniforms).tolist()
-        move = MoveShape(*row)
-        length = abs(move.goal - move.start)
-        assert min(move.start, move.goal) >= 0 and max(move.start, move.goal) <= WORKSPACE + 1e-15
-        assert length >= SHORTEST - 1e-15
-        assert 0.5 <= move.duration <= 1.2 + 1e-12
-        assert 0.15 - 1e-12 <= move.ramp_time / move.duration <= 0.35 + 1e-12
-        check_moves(profile, np.array([row]))
-        assert peak_torque(profile, length, move.duration, move.ramp_time) <= MOST_TORQUE + 1e-12
-
-    @ALL
     @examples(100)
     @given(
         uniforms=UNIFORMS,
@@ -112,7 +98,7 @@ class TestDrawnMoves:
         end=st.dictionaries(st.sampled_from(["start", "goal"]), st.floats(0, WORKSPACE), max_size=1),
     )
     @example(uniforms=[0.0] * DRAWS, fixed={"ramp_time": 0.041015625}, end={})  # by rounding longer than allowed
-    def test_with_values_given_are_feasible(
+    def test_are_feasible_and_within_bounds_whatever_values_are_given(
         self, profile: int, uniforms: list[float], fixed: dict[str, float], end: dict[str, float]
     ):
         assert moves.shortest_duration(profile, SHORTEST, 0.35) < 0.35, "else no move would be"
@@ -122,6 +108,13 @@ class TestDrawnMoves:
         check_moves(profile, table)
         for name, value in given_values.items():
             assert table[0, moves.MOVE_FIELDS.index(name)] == value
+        move = MoveShape(*draw(profile, uniforms)[0].tolist())
+        length = abs(move.goal - move.start)
+        assert min(move.start, move.goal) >= 0 and max(move.start, move.goal) <= WORKSPACE + 1e-15
+        assert length >= SHORTEST - 1e-15
+        assert 0.5 <= move.duration <= 1.2 + 1e-12
+        assert 0.15 - 1e-12 <= move.ramp_time / move.duration <= 0.35 + 1e-12
+        assert peak_torque(profile, length, move.duration, move.ramp_time) <= MOST_TORQUE + 1e-12
 
 
 class TestDistribution:
