@@ -92,7 +92,7 @@ class TestMotion:
         """Energy less the motor's work falls by what friction and belt take, integrated beside it on a fine grid."""
         arm = EventLocatedArm(ArmParams(**UPPER_ENDS), np.array([60.0, 0.0, 0.0, 0.0]), "lagrangian")
         stored, balance = arm.energy, 0.0
-        for k in range(300):
+        for k in range(200):
             arm._drifted = 1 + 0.15 * (k + 0.5) / 1200
             for duration, torque in arm._actuator.pieces(push(k)):
                 for j in range(8):

@@ -247,7 +247,9 @@ def test_a_controller_begins_anew_with_each_move(name: str):
         params = CONTROLLERS[name]().params
 
         def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
-            return CONTROLLERS[name]().predict(observation, None if observation[0, ELAPSED] == 0 else state)
+            if observation[0, ELAPSED] == 0:
+                self.controller, state = CONTROLLERS[name](), None
+            return self.controller.predict(observation, state)
 
     settings: dict[str, Any] = {"seed": 3, "moves": 2, "randomization": "train"}
     runs = [rollout(controller, 2, **settings) for controller in (CONTROLLERS[name](), Forgetful())]
