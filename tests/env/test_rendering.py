@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from numpy.typing import NDArray
 
-from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env import ArmParams
 from beltarm_env.rendering.renderer import Renderer
 
 pygame = pytest.importorskip("pygame")
@@ -145,14 +145,6 @@ class TestThroughTheEnvironment:
     @pytest.mark.parametrize("mode", ["rgb_array", "human"])
     def test_env_checker_is_content(self, mode: str, window: None):
         check_env(gym.make("BeltArm-v0", render_mode=mode).unwrapped)
-
-    def test_a_way_back_is_drawn_without_a_part(self):
-        env, seen = gym.make("BeltArm-v0", render_mode="rgb_array", moves=2), []
-        env.reset(seed=0)
-        for k in range(EPISODE_STEPS):
-            env.step(np.zeros(1, np.float32))
-            seen += [near(np.asarray(env.render()), ORANGE).any()] if k >= EPISODE_STEPS - 2 else []
-        assert seen == [True, False]
 
     def test_gymnasium_films_each_episode_anew_in_real_time(self, tmp_path: Path):
         pytest.importorskip("moviepy")
