@@ -105,13 +105,13 @@ def correction(controller: ResidualController, sensors: str = "encoder") -> Corr
     """Constants and memory with which `correct` gives the residuals of a controller on an arm with these sensors.
 
     Raises:
-        TypeError: If the policy is no `NetworkPolicy`.
+        TypeError: If the policy is no `NetworkPolicy` of one network.
         ValueError: If it was trained with other sensors.
     """
     policy, settings, informed = controller.policy, controller.settings, controller.informed
     offered = layout.size(sensors) + len(ENTRIES[settings.knowledge])
-    if not isinstance(policy, NetworkPolicy):
-        raise TypeError(f"a policy that is a kernel is a NetworkPolicy, got {type(policy).__name__}")
+    if not isinstance(policy, NetworkPolicy) or len(policy.networks) > 1:
+        raise TypeError(f"a policy that is a kernel is a NetworkPolicy of one network, got {type(policy).__name__}")
     if offered != policy.observed:
         raise ValueError(f"the policy observes {policy.observed} entries, with sensors={sensors!r} there are {offered}")
     memory = CorrectionMemory(
@@ -123,5 +123,5 @@ def correction(controller: ResidualController, sensors: str = "encoder") -> Corr
         inputs=np.zeros((1, policy.shape.inputs), np.float32),
         layers=np.zeros((2, 1, policy.widest), np.float32),
     )
-    design = Correction(policy.network, informed.entries, policy.columns, settings.hold, settings.limit)
+    design = Correction(policy.networks[0], informed.entries, policy.columns, settings.hold, settings.limit)
     return CorrectionKernel(design, memory, informed.identifier)
