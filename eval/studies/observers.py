@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.observer import network
-from agents.observer.episodes import Source, truth
 from agents.observer.network import BELIEVED, NAMES, SCALES, Estimate, Observer
+from agents.observer.run import Source, truth
 from agents.residual.knowledge import InformedBase, Knowledge
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Flags, Floats, Singles
