@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
-import yaml
 
 from agents.policy.description import BundleError, BundleSpec, spec_of
 from agents.policy.network import NetworkPolicy
@@ -160,7 +159,6 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
     config, curve = provenance.get("config", {}), provenance.get("curve", [])
     moves = config.get("moves", 1)
     return _TEMPLATES.get_template("card.md.j2").render(
-        front_matter=yaml.safe_dump(front_matter(content, offer), sort_keys=False, allow_unicode=True),
         environment=ENVIRONMENT,
         period=CONTROL_PERIOD,
         policy_file=POLICY_FILE,
@@ -174,15 +172,3 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
         moves=moves,
         ranges=resolve_ranges(config["randomization"], moves) if "randomization" in config else {},
     )
-
-
-def front_matter(content: dict[str, Any], offer: Offer) -> dict[str, Any]:
-    """Fields that the Hub reads. A library is named whose interface the policy has, not one whose archive it is."""
-    learning = ["deep-reinforcement-learning", "reinforcement-learning", "residual-policy-learning"]
-    method = [content["algorithm"], f"residual-on-{content['base']}"]
-    return {
-        **({"license": offer.license} if offer.license else {}),
-        "library_name": "stable-baselines3",
-        "pipeline_tag": "reinforcement-learning",
-        "tags": [ENVIRONMENT, *learning, *method, "gymnasium", "robotics", "beltarm"],
-    }
