@@ -137,13 +137,7 @@ class ResidualController:
 
 
 class GuardedResidualController(GuardedController):
-    """Base and residual with the guard behind them.
-
-    Args:
-        controller: Base and residual.
-        servo: What to fall back to where the base plans, see `baselines.guard.controller.servo_for`.
-        settings: Of the guard.
-    """
+    """Base and residual with the guard behind them; the servo is for a base that plans, see `servo_for`."""
 
     def __init__(
         self, controller: ResidualController, servo: Controller | None = None, settings: GuardSettings | None = None
