@@ -2,7 +2,7 @@
 
 An observer is a virtual sensor. From what an agent sees, it estimates torsion, the tip's errors and the constants of
 the arm, and how far off each estimate may be (`agents/observer/network.py` has the equations). It is fitted to episodes
-of several controllers on arms of the training ranges. They are simulated first (`agents/observer/episodes.py`); after
+of several controllers on arms of the training ranges. They are simulated first (`agents/observer/run.py`); after
 an interruption, the same command continues with the episodes that it has.
 """
 

@@ -61,11 +61,7 @@ class OnPolicyConfig(ReinforcementConfig):
             raise ValueError("--arms times --rollout-steps must be at least 2")
 
     def arguments(self, **policy: Any) -> dict[str, Any]:
-        """Arguments of the Stable-Baselines3 model; the learning rate falls linearly to zero.
-
-        Args:
-            **policy: Further arguments of the policy.
-        """
+        """Arguments of the Stable-Baselines3 model, with further ones of its policy."""
         return {
             "learning_rate": self.learning_rate_left,
             "n_steps": self.rollout_steps,

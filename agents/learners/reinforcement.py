@@ -17,7 +17,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_set
 from agents.policy.actor import Actor, actor_of
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualVecEnv
-from agents.runs.settings import RunConfig, task_of
+from agents.runs.settings import RunConfig
 from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env import BeltArmVectorEnv
@@ -60,10 +60,9 @@ class ReinforcementConfig(RunConfig):
 
     def make_env(self) -> ResidualVecEnv:
         """Make the environment of training arms."""
-        task = task_of(self.moves, self.sensors, self.randomization)
-        arms = BeltArmVectorEnv(self.arms, autoreset_mode="SameStep", **task)
+        task: dict[str, Any] = {"randomization": self.randomization, "moves": self.moves, "sensors": self.sensors}
         return ResidualVecEnv(
-            arms,
+            BeltArmVectorEnv(self.arms, autoreset_mode="SameStep", **task),
             make_base(self.base, self.sensors),
             self.residual,
             reward_scale=self.reward_scale / self.hold,

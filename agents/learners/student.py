@@ -35,7 +35,7 @@ from agents.policy.actor import Actor, Regression
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
-from agents.runs.settings import RunConfig, task_of
+from agents.runs.settings import RunConfig
 from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds
 from beltarm_env import EPISODE_STEPS
@@ -172,9 +172,8 @@ class Student:
         """Make this round's moves, on arms that no round has seen."""
         config, recorder = self.config, Recorder(NetworkPolicy(self.actor().weights()), self.pause)
         controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
-        task = task_of(config.moves, config.sensors, config.randomization)
-        if self.rounds % 2:
-            task["randomization"] = RANGES[config.randomization]
+        ranges = RANGES[config.randomization] if self.rounds % 2 else config.randomization
+        task = {"randomization": ranges, "moves": config.moves, "sensors": config.sensors}
         first = training_arms(config.seed).first + self.rounds * config.arms
         return rollout(controller, config.arms, seed=first, **task), recorder
 

@@ -32,12 +32,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from agents.residual.controller import Policy, ResidualSettings
+from agents.residual.controller import ResidualSettings
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.rollout import Recording
+from beltarm_env.rollout import Controller, Recording
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
 
@@ -57,7 +57,7 @@ class Advice(NamedTuple):
 class Recorder:
     """Policy whose inputs and residuals are kept, one of each per hold of an episode; `pause` is called before each."""
 
-    def __init__(self, policy: Policy, pause: Callable[[int], object] = lambda _: None) -> None:
+    def __init__(self, policy: Controller, pause: Callable[[int], object] = lambda _: None) -> None:
         self._policy = policy
         self.pause = pause
         self.inputs: list[Singles] = []

@@ -26,13 +26,12 @@ from torch import nn
 from agents.policy.actor import Standardised
 from agents.policy.network import begun
 from agents.residual.bases import base_settings, settings_hash
-from agents.residual.knowledge import ENTRIES, Knowledge
+from agents.residual.knowledge import ENTRIES, Knowledge, offered
 from agents.tensor_file import MAX_BYTES, packed, unpacked
 from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.tools.command import this_python
 from baselines.tools.files import read_regular, write_bytes
 from baselines.tools.schema import in_a_line
-from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import LAYOUT, Entry
 from beltarm_env.task.ranges import EDITION
@@ -59,11 +58,6 @@ class Estimate(NamedTuple):
 
     mean: Floats  # (n, quantities)
     deviation: Floats  # (n, quantities)
-
-
-def offered(knowledge: Knowledge) -> tuple[Entry, ...]:
-    """All entries that an agent with an encoder observes."""
-    return (*observation.ENTRIES["encoder"], *ENTRIES[knowledge])
 
 
 class Observer(Standardised):

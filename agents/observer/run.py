@@ -1,8 +1,11 @@
-"""Run that fits an observer: options, simulation in blocks that are kept, fit, and the file.
+"""Run that fits an observer: options, episodes, fit, and the file.
+
+The episodes are of arms of the training ranges under the torques of many controllers: an observer that has seen one
+controller's torques alone would take that controller's habits for the arm's. Some of the torques are disturbed besides,
+by noise of first order of a size that differs from arm to arm. They are simulated in blocks, kept beside the file until
+it is written: an interrupted run goes on with those that it has.
 
 The fit is the least negative log-likelihood of the truth, by Adam; what acts is the running average of the weights.
-
-Simulated episodes are kept beside the file until it is written: an interrupted run goes on with those that it has.
 """
 
 from __future__ import annotations
@@ -16,32 +19,42 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
 from safetensors.torch import load, save
 
 import agents
 import baselines
 import beltarm_env
-from agents.observer.episodes import STUDENT, Episodes, simulate_block
 from agents.observer.network import Observer, save_observer
 from agents.policy.actor import Regression
-from agents.policy.bundle import read_spec
-from agents.residual.knowledge import Knowledge
+from agents.policy.bundle import POLICIES, load_controller, read_spec
+from agents.residual.bases import make_base
+from agents.residual.knowledge import InformedBase, Knowledge
 from agents.runs.checkpoint import written_by
 from baselines.engines.parallel import Channel, Failure, run_side_by_side
+from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
 from baselines.gains import FILE as GAINS
 from baselines.tools.command import require_bounds
 from baselines.tools.files import require_writable, write_atomically
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
+from beltarm_env import design_model
+from beltarm_env.arm import COLUMN, FIELDS, plant_of
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.physics.drive import belt_motions, built_drive
+from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.sources import sources_digest
 from beltarm_env.task.seeds import OBSERVER
 
+STUDENT = POLICIES / "student" / "seed0"
+"""Policy that acts where a source is the student."""
+_MEMORY = 0.97  # of the noise from sample to sample: 50 ms
 _MAX_GRADIENT = 1.0
 _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
 _BLOCK = 512  # episodes that are simulated side by side, and kept in one file
@@ -99,6 +112,141 @@ class ObserverConfig:
         return self.file.parent / f".{self.file.stem}-episodes"
 
 
+# Episodes
+
+
+class Source(NamedTuple):
+    """Controller whose torques an observer is fitted to."""
+
+    name: str  # of a classical controller, or "student"
+    noise: float = 0.0  # largest standard deviation of what is added to its torque, over the torque limit
+
+    def controller(self) -> Controller:
+        """Make the controller."""
+        return load_controller(STUDENT) if self.name == "student" else make_base(self.name)
+
+
+SOURCES = (
+    Source("adaptive"),
+    Source("adaptive", 0.05),
+    Source("student"),
+    Source("student", 0.05),
+    Source("preview", 0.05),
+    Source("paper"),
+)
+
+
+class Episodes(NamedTuple):
+    """What an observer sees in n episodes, and what there was to be seen."""
+
+    inputs: torch.Tensor  # (T, n, inputs), half precision
+    truth: torch.Tensor  # (T, n, quantities)
+
+    @staticmethod
+    def joined(parts: list[Episodes]) -> Episodes:
+        """Join parts, episode after episode."""
+        return Episodes(*(torch.cat(tensors, dim=1) for tensors in zip(*parts, strict=True)))
+
+
+class Disturbed:
+    """Controller whose torque is disturbed, and that notes what an observer sees; for one rollout."""
+
+    def __init__(self, source: Source, observer: Observer, seed: int, count: int) -> None:
+        self.informed = InformedBase(source.controller(), observer.knowledge)
+        self.params = self.informed.params
+        self.inputs: list[NDArray[np.float16]] = []
+        self._observer = observer
+        self._random = np.random.default_rng(seed)
+        self._step = 0
+        self._size = source.noise * self._random.random((count, 1))
+        self._disturbance = np.zeros((count, 1))
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Call the controller's `predict`, and disturb what it returns."""
+        informed = self.informed.advance(observation, state, episode_start)
+        if self._step % self._observer.hold == 0:
+            seen = self.informed.seen(observation, informed)
+            self.inputs.append(seen[:, self._observer.columns].astype(np.float16))
+        self._step += 1
+        fresh = self._random.standard_normal((len(observation), 1))
+        self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
+        return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
+
+
+def truth(recording: Recording, hold: int) -> Floats:
+    """True quantities at samples 0, hold, 2 hold, ..., shape (samples, n, quantities).
+
+    Constants are per commanded torque: a torque constant that is too high by k looks like an arm whose inertias,
+    stiffness and friction are lower by 1 + k, and nothing that is measured tells the two apart. Friction is that of the
+    episode's start, from which it drifts. Nothing is recorded at sample 0, where the arm rests: it has the next one's.
+    """
+    rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
+    count = len(recording.params)
+    belts = np.empty((len(rows), count, 2))  # of the belts themselves, which the error of the gear moves too
+    for i, row in enumerate(recording.params):
+        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
+    constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
+    return np.concatenate([belts, recording.tip_error[rows], recording.tip_velocity_error[rows], constants], axis=2)
+
+
+def _logs(table: Floats) -> Floats:
+    """Logarithms of the identified constants over those of the model that controllers are made for, (n, constants)."""
+    nominal = nominal_row(design_model())
+    columns = [FIELDS.index(name) for name in IDENTIFIED]
+    constants = table[:, columns]
+    swing = IDENTIFIED.index("arm_inertia_swing")
+    constants[:, swing] = [plant_of(row).inertia_swing for row in table]  # with the payload
+    return np.log(constants / nominal[columns]) - np.log1p(table[:, [COLUMN.torque_constant_error]])
+
+
+def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
+    """Run a source on arms seeded from `first` on, and leave out those that leave their workspace."""
+    disturbed = Disturbed(source, observer, first, count)
+    recording = rollout(disturbed, count, seed=first, randomization="train")
+    stayed = np.flatnonzero(recording.finished)
+    inputs, true = np.stack(disturbed.inputs)[:, stayed], truth(recording, observer.hold)[:, stayed]
+    return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
+
+
+def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
+    """Simulate all episodes, but for those that an interrupted run left."""
+    stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
+    blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
+    files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.safetensors" for block in blocks}
+    missing = {block: file for block, file in files.items() if not file.exists()}
+    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
+    with (
+        closing(run_side_by_side(tasks, config.jobs)) as outcomes,
+        progress_rows(["episodes"], len(blocks), Console(stderr=True)) as show,
+    ):
+        show("episodes", len(blocks) - len(missing), "")
+        for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(missing) + 1):
+            if isinstance(outcome, Failure):
+                raise outcome.error
+            show("episodes", done, "")
+    return Episodes.joined([Episodes(**load(file.read_bytes())) for file in files.values()])
+
+
+def _depends_on() -> str:
+    """Hash of everything that simulated episodes depend on."""
+    code = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+    student = read_spec(STUDENT)[1]["sha256"]
+    return hashlib.sha256(GAINS.read_bytes() + f"{code} {student}".encode()).hexdigest()[:12]
+
+
+def _simulate(observer: Observer, offset: int, count: int, file: Path, _: Channel) -> None:
+    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on."""
+    ends = np.linspace(0, count, len(SOURCES) + 1).round().astype(int)
+    spans = zip(SOURCES, OBSERVER.first + offset + ends[:-1], np.diff(ends), strict=True)
+    parts = [simulate(source, observer, int(first), int(size)) for source, first, size in spans if size]
+    write_atomically(file, lambda path: path.write_bytes(save(Episodes.joined(parts)._asdict())))
+
+
+# Fit
+
+
 def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Tensor:
     """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e, cut at `_FARTHEST`."""
     inputs = episodes.inputs.float()
@@ -133,37 +281,6 @@ def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Itera
     observer.load_state_dict(regression.averaged().state_dict())
 
 
-def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
-    """Simulate all episodes, but for those that an interrupted run left."""
-    stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
-    blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
-    files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.safetensors" for block in blocks}
-    missing = {block: file for block, file in files.items() if not file.exists()}
-    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
-    with (
-        closing(run_side_by_side(tasks, config.jobs)) as outcomes,
-        progress_rows(["episodes"], len(blocks), Console(stderr=True)) as rows,
-    ):
-        rows.show("episodes", len(blocks) - len(missing))
-        for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(missing) + 1):
-            if isinstance(outcome, Failure):
-                raise outcome.error
-            rows.show("episodes", done)
-    return Episodes.joined([Episodes(**load(file.read_bytes())) for file in files.values()])
-
-
-def _depends_on() -> str:
-    """Hash of everything that simulated episodes depend on."""
-    code = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
-    student = read_spec(STUDENT)[1]["sha256"]
-    return hashlib.sha256(GAINS.read_bytes() + f"{code} {student}".encode()).hexdigest()[:12]
-
-
-def _simulate(observer: Observer, first: int, count: int, file: Path, _: Channel) -> None:
-    episodes = simulate_block(observer, first, count)
-    write_atomically(file, lambda path: path.write_bytes(save(episodes._asdict())))
-
-
 def run(config: ObserverConfig) -> None:
     """Simulate, fit and write.
 
@@ -179,9 +296,9 @@ def run(config: ObserverConfig) -> None:
         episodes = _simulated(config, observer)
         torch.set_num_threads(1)
         torch.manual_seed(config.seed)  # simulating in this process draws from it too
-        with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
+        with progress_rows(["fit"], 1.0, Console(stderr=True)) as show:
             for share, loss in fit(observer, episodes, config):
-                rows.show("fit", share, f"loss {loss:.3f}")
+                show("fit", share, f"loss {loss:.3f}")
     except KeyboardInterrupt:
         message = "interrupted; simulated episodes are kept, and the same command continues with them"
         raise KeyboardInterrupt(message) from None

@@ -78,17 +78,10 @@ class Actor(Standardised):
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:
-    """Extract the actor of a Stable-Baselines3 policy, with a copy of its weights.
-
-    Raises:
-        ValueError: If the policy does not have the layers that the shape describes.
-    """
+    """Extract the actor of a Stable-Baselines3 policy of this shape, with a copy of its weights."""
     actor = Actor(shape)
     for own, theirs in pairs_of(actor, policy):
-        try:
-            own.load_state_dict(theirs.state_dict())
-        except RuntimeError:
-            raise ValueError(f"the policy does not have the layers of {shape}") from None
+        own.load_state_dict(theirs.state_dict())
     if shape.standardised:
         scales = policy.features_extractor.scales
         actor.mean, actor.deviation = scales.mean.clone(), scales.deviation.clone()
@@ -96,19 +89,13 @@ def actor_of(policy: Any, shape: ActorShape) -> Actor:
 
 
 def pairs_of(actor: Actor, policy: Any) -> list[tuple[nn.Module, nn.Module]]:
-    """Layers of an actor, each with that of a Stable-Baselines3 policy which does the same.
-
-    Raises:
-        ValueError: If there are not as many of them.
-    """
+    """Layers of an actor, each with that of a Stable-Baselines3 policy which does the same."""
     if hasattr(policy, "mlp_extractor"):  # PPO's
         parts = [policy.mlp_extractor.policy_net, policy.action_net]
     else:  # SAC's, whose mean is a layer of its own
         parts = [policy.actor.latent_pi, policy.actor.mu]
     theirs = [module for part in parts for module in part.modules() if isinstance(module, nn.Linear)]
     ours = [module for module in actor.layers if isinstance(module, nn.Linear)]
-    if len(theirs) != len(ours) or (actor.lstm is None) != (not hasattr(policy, "lstm_actor")):
-        raise ValueError(f"the policy does not have the layers of {actor.shape}")
     pairs: list[tuple[nn.Module, nn.Module]] = list(zip(ours, theirs, strict=True))
     if actor.lstm is not None:
         pairs.append((actor.lstm, policy.lstm_actor))

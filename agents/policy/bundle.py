@@ -12,24 +12,21 @@ is not used, since training needs no package of the Hub: it writes the scores of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
-import yaml
 
 from agents.policy.description import BundleError, BundleSpec, spec_of
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
 from agents.residual.bases import make_base
-from agents.residual.controller import Policy, ResidualController
+from agents.residual.controller import ResidualController
 from agents.tensor_file import MAX_BYTES, packed, unpacked
 from baselines.tools.files import read_regular, write_bytes, write_text
 from baselines.tools.schema import in_a_line
-from beltarm_env.arrays import Flags, Singles
 from beltarm_env.task.ranges import resolve_ranges
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -125,52 +122,17 @@ def load_controller(*folders: Path | str) -> ResidualController:
     bundles = [read_bundle(folder) for folder in folders]
     spec = bundles[0].spec
     for folder, bundle in zip(folders, bundles, strict=True):
-        if not _are_alike(bundle.spec, spec):
+        if not are_alike(spec, bundle.spec):
             raise ValueError(f"{folder} is not built as {folders[0]}: load each by itself")
-    policies = [NetworkPolicy(bundle.weights, spec.columns(), len(spec.offered())) for bundle in bundles]
-    policy = policies[0] if len(policies) == 1 else PoliciesSideBySide(policies)
+    weights, columns = [bundle.weights for bundle in bundles], spec.columns()
+    policy = NetworkPolicy(*weights, columns=columns, observed=len(spec.offered()))
     return ResidualController(make_base(spec.base, spec.sensors, spec.base_gains), policy, spec.residual)
 
 
-def are_alike(folders: Sequence[Path | str]) -> bool:
-    """Whether policies differ in their weights alone; raises the errors of `read_bundle`."""
-    specs = [read_spec(folder)[0] for folder in folders]
-    return all(_are_alike(spec, specs[0]) for spec in specs)
-
-
-def _are_alike(spec: BundleSpec, other: BundleSpec) -> bool:
-    return replace(spec, provenance={}) == replace(other, provenance={})
-
-
-class PoliciesSideBySide:
-    """Policies of one build, of which each has an equal share of the rows, in order."""
-
-    def __init__(self, policies: Sequence[Policy]) -> None:
-        self.policies = tuple(policies)
-
-    def predict(
-        self,
-        observation: Singles,
-        state: Singles | None = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Singles, Any]:
-        """Residuals of shape (n, 1) for observations of shape (n, entries), see `Policy`.
-
-        Raises:
-            ValueError: If n is no multiple of the number of policies.
-        """
-        rows, count = len(observation), len(self.policies)
-        if rows % count:
-            raise ValueError(f"{count} policies share rows equally, got {rows}: give a multiple of {count}")
-
-        def shares(values: Any) -> Any:
-            return [None] * count if values is None else np.split(values, count)
-
-        parts = zip(self.policies, shares(observation), shares(state), shares(episode_start), strict=True)
-        answers = [policy.predict(seen, memory, begins, deterministic) for policy, seen, memory, begins in parts]
-        residuals, memories = zip(*answers, strict=True)
-        return np.concatenate(residuals), None if memories[0] is None else np.concatenate(memories)
+def are_alike(*specs: BundleSpec) -> bool:
+    """Whether policies differ in their weights, and in how they came about, alone."""
+    bare = [replace(spec, provenance={}) for spec in specs]
+    return all(spec == bare[0] for spec in bare)
 
 
 # Card
@@ -197,7 +159,6 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
     config, curve = provenance.get("config", {}), provenance.get("curve", [])
     moves = config.get("moves", 1)
     return _TEMPLATES.get_template("card.md.j2").render(
-        front_matter=yaml.safe_dump(front_matter(content, offer), sort_keys=False, allow_unicode=True),
         environment=ENVIRONMENT,
         period=CONTROL_PERIOD,
         policy_file=POLICY_FILE,
@@ -211,15 +172,3 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
         moves=moves,
         ranges=resolve_ranges(config["randomization"], moves) if "randomization" in config else {},
     )
-
-
-def front_matter(content: dict[str, Any], offer: Offer) -> dict[str, Any]:
-    """Fields that the Hub reads. A library is named whose interface the policy has, not one whose archive it is."""
-    learning = ["deep-reinforcement-learning", "reinforcement-learning", "residual-policy-learning"]
-    method = [content["algorithm"], f"residual-on-{content['base']}"]
-    return {
-        **({"license": offer.license} if offer.license else {}),
-        "library_name": "stable-baselines3",
-        "pipeline_tag": "reinforcement-learning",
-        "tags": [ENVIRONMENT, *learning, *method, "gymnasium", "robotics", "beltarm"],
-    }

@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 from agents.policy.network import Network, NetworkPolicy, evaluate
 from agents.residual.controller import ResidualController
 from agents.residual.knowledge import (
-    ENTRIES,
     RECENT,
     ExtraEntries,
+    offered,
     push_unexplained,
     write_belief,
     write_torque,
 )
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.reading import Sample
-from beltarm_env import observation as layout
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.engine import compiled
 
@@ -105,23 +104,23 @@ def correction(controller: ResidualController, sensors: str = "encoder") -> Corr
     """Constants and memory with which `correct` gives the residuals of a controller on an arm with these sensors.
 
     Raises:
-        TypeError: If the policy is no `NetworkPolicy`.
+        TypeError: If the policy is no `NetworkPolicy` of one network.
         ValueError: If it was trained with other sensors.
     """
     policy, settings, informed = controller.policy, controller.settings, controller.informed
-    offered = layout.size(sensors) + len(ENTRIES[settings.knowledge])
-    if not isinstance(policy, NetworkPolicy):
-        raise TypeError(f"a policy that is a kernel is a NetworkPolicy, got {type(policy).__name__}")
-    if offered != policy.observed:
-        raise ValueError(f"the policy observes {policy.observed} entries, with sensors={sensors!r} there are {offered}")
+    size = len(offered(settings.knowledge, sensors))
+    if not isinstance(policy, NetworkPolicy) or len(policy.networks) != 1:
+        raise TypeError(f"a policy that is a kernel is a NetworkPolicy of one network, got {type(policy).__name__}")
+    if size != policy.observed:
+        raise ValueError(f"the policy observes {policy.observed} entries, with sensors={sensors!r} there are {size}")
     memory = CorrectionMemory(
         recurrent=np.zeros((1, max(1, int(np.prod(policy.memory)))), np.float32),  # C has no empty arrays
         residual=np.zeros((1, 1), np.float32),
         age=np.zeros(1, np.int64),
         unexplained=np.zeros(RECENT),
-        seen=np.zeros(offered, np.float32),
+        seen=np.zeros(size, np.float32),
         inputs=np.zeros((1, policy.shape.inputs), np.float32),
         layers=np.zeros((2, 1, policy.widest), np.float32),
     )
-    design = Correction(policy.network, informed.entries, policy.columns, settings.hold, settings.limit)
+    design = Correction(policy.networks[0], informed.entries, policy.columns, settings.hold, settings.limit)
     return CorrectionKernel(design, memory, informed.identifier)

@@ -19,7 +19,7 @@ from typing import Any
 from agents.policy.weights import ActorShape
 from agents.residual.bases import BASES, base_settings, changed_settings, settings_hash
 from agents.residual.controller import ResidualSettings
-from agents.residual.knowledge import ENTRIES as TOLD
+from agents.residual.knowledge import offered
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
 from beltarm_env.task.ranges import EDITION, RANGES
@@ -90,7 +90,7 @@ class BundleSpec:
 
     def offered(self) -> tuple[Entry, ...]:
         """All entries that a policy with these sensors and this knowledge can be given."""
-        return (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])
+        return offered(self.residual.knowledge, self.sensors)
 
     def columns(self) -> list[int]:
         """Place of each of the policy's inputs in what is offered."""
@@ -99,8 +99,8 @@ class BundleSpec:
 
     def entries(self) -> list[list[Any]]:
         """Name, unit, scale and bound of the policy's inputs, in order."""
-        offered = self.offered()
-        return [list(offered[k]) for k in self.columns()]
+        entries = self.offered()
+        return [list(entries[k]) for k in self.columns()]
 
     def shape(self) -> ActorShape:
         """Layers of the policy's network.
@@ -159,10 +159,10 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
     return spec if settings == now else replace(spec, base_gains=settings["gains"])
 
 
-def _names_of(entries: list[list[Any]], offered: Sequence[Entry]) -> tuple[str, ...]:
-    """Names of a policy's inputs; raises ValueError if one is not offered with the same unit, scale and bound."""
-    known = {entry.name: list(entry) for entry in offered}
+def _names_of(entries: list[list[Any]], known: Sequence[Entry]) -> tuple[str, ...]:
+    """Names of a policy's inputs; raises ValueError if one is not known with the same unit, scale and bound."""
+    by_name = {entry.name: list(entry) for entry in known}
     for entry in entries:
-        if entry != (now := known.get(entry[0])):
+        if entry != (now := by_name.get(entry[0])):
             raise ValueError(f"its observation entry is {entry}, and for its sensors and knowledge here {now}")
     return tuple(entry[0] for entry in entries)

@@ -52,18 +52,18 @@ class NetworkPolicy:
     """Policy by a network; `predict` is that of a Stable-Baselines3 policy, deterministic.
 
     Args:
-        weights: They are copied.
+        *weights: They are copied. Several of one shape each act on an equal share of the rows, in order.
         columns: Place of each of its inputs in the observation, which may have more entries; None for all in order.
         observed: Entries of the observation; by default as many as there are inputs.
     """
 
-    def __init__(self, weights: Weights, columns: Sequence[int] | None = None, observed: int | None = None) -> None:
-        self.shape = shape = weights.shape
+    def __init__(self, *weights: Weights, columns: Sequence[int] | None = None, observed: int | None = None) -> None:
+        self.shape = shape = weights[0].shape
         self.observed = shape.inputs if observed is None else observed
         self.columns = np.arange(self.observed) if columns is None else np.array(columns)
         """Place of each input in the observation."""
         self._picks = not np.array_equal(self.columns, np.arange(self.observed))
-        self.network = _network(weights)
+        self.networks = tuple(map(_network, weights))
         self.memory = shape.memory
         """Shape of a row's memory."""
         self.widest = max(shape.gates, *shape.widths)
@@ -81,21 +81,24 @@ class NetworkPolicy:
         That of a GRU has shape (n, width), and a network without either has None.
 
         Raises:
-            ValueError: If the observations are not of shape (n, entries).
+            ValueError: If observations are not of shape (n, entries), or n is no multiple of the number of networks.
         """
-        count = len(observation)
+        count, shares = len(observation), len(self.networks)
         if observation.ndim != 2 or observation.shape[1] != self.observed:
             raise ValueError(
                 f"the policy observes {self.observed} entries, got shape {observation.shape}: run it with the "
                 "--sensors that it was trained with"
             )
+        if count % shares:
+            raise ValueError(f"{shares} policies share rows equally, got {count}: give a multiple of {shares}")
         inputs = np.array(observation[:, self.columns] if self._picks else observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
-        taken = none_taken(usual_threads(count // _LEAST))
-        same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
-        in_threads(_evaluate_tiles, len(taken), *same)
-        return residuals, memory if self.network.kind != _FEEDFORWARD else None
+        parts = (np.split(array, shares) for array in (inputs, memory.reshape(count, -1), residuals))
+        for network, seen, remembered, answers in zip(self.networks, *parts, strict=True):
+            taken = none_taken(usual_threads(len(seen) // _LEAST))
+            in_threads(_evaluate_tiles, len(taken), network, seen, remembered, self.widest, answers, taken)
+        return residuals, memory if self.shape.recurrent else None
 
 
 def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> Singles:

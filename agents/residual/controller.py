@@ -9,7 +9,7 @@ The base acts every sample; the residual is held for `hold` samples. What the ag
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,16 +80,6 @@ def checked_residual(residual: object, count: int) -> Singles:
     return array.astype(np.float32, copy=False)
 
 
-class Policy(Protocol):
-    """Protocol of a policy: the part of Stable-Baselines3's that is used here."""
-
-    def predict(
-        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
-    ) -> tuple[Singles, Any]:
-        """Return residuals of shape (n, 1) for observations of a residual agent, one per row."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class ResidualMemory:
     """Memory of a `ResidualController`."""
@@ -103,12 +93,17 @@ class ResidualMemory:
 class ResidualController:
     """A base controller with a learned residual, as one controller on the environment's own observation.
 
+    Args:
+        base: The base controller.
+        policy: From what an agent observes (`agents.residual.knowledge`) to residuals, called as a controller is.
+        settings: How the residual acts.
+
     Attributes:
         params: Arm that it is made for, see `Controller`.
         remembers: Whether its memory, the policy's too, lasts from move to move, as the base's does or not.
     """
 
-    def __init__(self, base: Controller, policy: Policy, settings: ResidualSettings) -> None:
+    def __init__(self, base: Controller, policy: Controller, settings: ResidualSettings) -> None:
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
@@ -142,13 +137,7 @@ class ResidualController:
 
 
 class GuardedResidualController(GuardedController):
-    """Base and residual with the guard behind them.
-
-    Args:
-        controller: Base and residual.
-        servo: What to fall back to where the base plans, see `baselines.guard.controller.servo_for`.
-        settings: Of the guard.
-    """
+    """Base and residual with the guard behind them; the servo is for a base that plans, see `servo_for`."""
 
     def __init__(
         self, controller: ResidualController, servo: Controller | None = None, settings: GuardSettings | None = None

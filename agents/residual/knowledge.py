@@ -82,10 +82,14 @@ _BASE_AT, _STATE_AT, _TIP_AT, _CONSTANTS_AT, _DOUBTS_AT, _SURPRISE_AT, _UNEXPLAI
 )
 
 
+def offered(knowledge: Knowledge, sensors: str = "encoder") -> tuple[Entry, ...]:
+    """All entries that an agent observes, in order: those of the environment, then those of `ENTRIES`."""
+    return (*layout.ENTRIES[sensors], *ENTRIES[knowledge])
+
+
 def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = "belief") -> spaces.Box:
     """Observation space of a residual agent."""
-    extra = [entry.bound / entry.scale for entry in ENTRIES[knowledge]]
-    bounds = np.concatenate([layout.bounds(sensors), extra]).astype(np.float32)
+    bounds = np.array([entry.bound / entry.scale for entry in offered(knowledge, sensors)], np.float32)
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 

@@ -25,7 +25,7 @@ from baselines.engines.workplace import Workplace
 from baselines.tools.command import resume_command, run_command, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import note_options, noted_options
-from baselines.tools.progress import ProgressRows, progress_rows
+from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
 
 
@@ -59,13 +59,6 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
         return config.usual()
     command = config.out / COMMAND  # else a run that another program began
     return noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
-
-
-def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
-    """Show how far a run is; where nobody watches a terminal, as a line for each validation."""
-    rows.show(name, news.steps, news.scores)
-    if news.cost is not None and not console.is_terminal:
-        console.print(f"{name}: {news.steps} steps, {news.scores}", soft_wrap=True)
 
 
 def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:
@@ -104,25 +97,36 @@ def _run(config: RunConfig, console: Console) -> None:
             for run in runs.values():
                 with RunFolder(run.out).locked(run):
                     pass
-        note_options(config.out / COMMAND, config)
+        if noted := not config.resume:
+            note_options(config.out / COMMAND, config)
         tasks = {
             name: workplace.task(name, run.out, partial(run_in, run, command_line()), CHECKPOINT)
             for name, run in runs.items()
         }
         asked = partial(console.print, "stopping after this update; press Ctrl-C again to stop at once")
-        with stop_on_signals(stop, asked), progress_rows(runs, config.length, console) as rows:
-            show = partial(_show, rows, console)
-            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": show}
+        with stop_on_signals(stop, asked), progress_rows(runs, config.length, console) as show:
+
+            def tell(name: str, news: News) -> None:
+                """Show how far a run is; where nobody watches a terminal, as a line for each validation."""
+                nonlocal noted
+                if not noted:  # a run that has news was found to fit its checkpoint
+                    note_options(config.out / COMMAND, config)
+                    noted = True
+                show(name, news.steps, news.scores)
+                if news.cost is not None and not console.is_terminal:
+                    console.print(f"{name}: {news.steps} steps, {news.scores}", soft_wrap=True)
+
+            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": tell}
             with closing(run_side_by_side(tasks, config.jobs, **options)) as ends:
                 for name, end in ends:
                     if isinstance(end, Failure):
                         if alone:
                             raise end.error
-                        rows.show(name, state=end.message)
+                        show(name, None, end.message)
                         if not isinstance(end.error, Interrupted):
                             failed.append(f"{name}: {end.resumable_message}")
                     else:
-                        rows.show(name, end.steps, f"done, {end.scores}")
+                        show(name, end.steps, f"done, {end.scores}")
                     workplace.collect(name, runs[name].out)
     if failed:
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))

@@ -32,13 +32,6 @@ MAY_CHANGE = (
 """Options that may differ when a run is resumed; all others identify the run."""
 
 
-def task_of(
-    moves: int, sensors: Sensors = "encoder", randomization: Literal["train", "ideal"] = "train"
-) -> dict[str, Any]:
-    """Arguments of `BeltArmVectorEnv`."""
-    return {"randomization": randomization, "moves": moves, "sensors": sensors}
-
-
 @dataclass(frozen=True)
 class RunConfig(WithStorage):
     """Options of all training scripts; each script adds its algorithm's own."""

@@ -24,10 +24,11 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.checkpoint import RunFolder, written_by
-from agents.runs.settings import RunConfig, task_of
+from agents.runs.settings import RunConfig
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.tools.files import errors_about
 from baselines.tools.provenance import command_line
+from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import VALIDATION
 
@@ -37,9 +38,10 @@ _LEAST = 1e-6  # of a score of the base to compare with: an arm without one is a
 _NEWS_EVERY = 0.5  # [s]
 
 
-def validate(controller: Controller, arms: int, task: dict[str, Any]) -> dict[str, float]:
-    """Compute mean scores over arms drawn with the validation seed, on a task as `task_of` gives it."""
-    metrics = rollout(controller, arms, seed=VALIDATION.first, **task).metrics()
+def validate(controller: Controller, arms: int, moves: int = 1, sensors: Sensors = "encoder") -> dict[str, float]:
+    """Compute mean scores over arms of the training ranges, drawn with the validation seed."""
+    run = rollout(controller, arms, seed=VALIDATION.first, randomization="train", moves=moves, sensors=sensors)
+    metrics = run.metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
 
 
@@ -190,7 +192,7 @@ class TrainingMonitor:
         self.channel.report(News(steps, scores, cost))
 
     def _validate(self, controller: Controller) -> dict[str, float]:
-        return validate(controller, self.config.validation_arms, task_of(self.config.moves, self.config.sensors))
+        return validate(controller, self.config.validation_arms, self.config.moves, self.config.sensors)
 
     def _provenance(self) -> dict[str, Any]:
         """Steps, time and learning curve so far, for the provenance of policies."""

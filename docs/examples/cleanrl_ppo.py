@@ -228,9 +228,9 @@ if __name__ == "__main__":
     spec = BundleSpec("ppo", args.base, settings, args.hidden, "relu")
     actor = Actor(spec.shape())
     actor.layers.load_state_dict(agent.actor_mean.state_dict())
-    policy, task = NetworkPolicy(actor.weights()), {"randomization": "train"}
-    of_base = validate(make_base(args.base), args.validation_arms, task)
-    scores = validate(ResidualController(make_base(args.base), policy, settings), args.validation_arms, task)
+    policy = NetworkPolicy(actor.weights())
+    of_base = validate(make_base(args.base), args.validation_arms)
+    scores = validate(ResidualController(make_base(args.base), policy, settings), args.validation_arms)
     provenance = {
         "command": command_line(),
         **software("gymnasium", "torch"),

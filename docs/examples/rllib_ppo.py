@@ -107,9 +107,8 @@ if __name__ == "__main__":
         print(f"iteration {iteration}: {steps} agent steps, mean return {episodic_return:.0f}", flush=True)
 
     policy = LearnedResidual(algorithm.get_module())
-    task = {"randomization": "train"}
-    before = validate(make_base("paper"), args.validation_arms, task)["cost"]
-    after = validate(ResidualController(make_base("paper"), policy, SETTINGS), args.validation_arms, task)["cost"]
+    before = validate(make_base("paper"), args.validation_arms)["cost"]
+    after = validate(ResidualController(make_base("paper"), policy, SETTINGS), args.validation_arms)["cost"]
     print(f"cost on {args.validation_arms} validation arms: {before:.1f} of paper alone, {after:.1f} with the residual")
     algorithm.stop()
     ray.shutdown()

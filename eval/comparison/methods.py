@@ -59,7 +59,7 @@ class Method:
     def batches(self, episodes: int) -> list[range]:
         """Training seeds that run in one batch each: those of alike policies, as long as a batch stays small."""
         seeds = range(len(self.sources))
-        alike = len(seeds) > 1 and are_alike(self.sources)
+        alike = len(seeds) > 1 and are_alike(*(read_spec(source)[0] for source in self.sources))
         together = max(1, LARGEST_BATCH // episodes) if alike else 1
         return [seeds[k : k + together] for k in seeds[::together]]
 

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from agents.policy.bundle import POLICY_FILE, BundleError, read_spec
 from agents.runs.checkpoint import RunFolder
-from agents.runs.settings import task_of
 from agents.runs.training import validate
 from baselines import CONTROLLERS
 from beltarm_env.arrays import Floats
@@ -86,7 +85,7 @@ def levels(curves: list[Curve]) -> dict[str, float]:
 
 def classical_cost(arms: int, moves: int) -> float:
     """Compute the validation cost of the best classical controller on some arms, of some moves each."""
-    return validate(CONTROLLERS[BEST_CLASSICAL](), arms, task_of(moves))["cost"]
+    return validate(CONTROLLERS[BEST_CLASSICAL](), arms, moves)["cost"]
 
 
 def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:

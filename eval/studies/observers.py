@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.observer import network
-from agents.observer.episodes import Source, truth
 from agents.observer.network import BELIEVED, NAMES, SCALES, Estimate, Observer
-from agents.residual.knowledge import InformedBase, Knowledge
+from agents.observer.run import Source, truth
+from agents.residual.knowledge import InformedBase, Knowledge, offered
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, rollout
@@ -52,7 +52,7 @@ class FilterAlone:
     hold = HOLD
 
     def __init__(self) -> None:
-        entries = network.offered("belief")
+        entries = offered("belief")
         at = {entry.name: k for k, entry in enumerate(entries)}
         self._believed = [at[name] for name in BELIEVED]
         self._doubts = [(k, at[network.DOUBTS[name]]) for k, name in enumerate(NAMES) if name in network.DOUBTS]
@@ -146,7 +146,7 @@ class _Watched:
         seen = self.informed.seen(observation, informed)
         for name, watcher in self._known.items():
             if self._step % watcher.hold == 0:
-                entries = seen[:, : len(network.offered(watcher.knowledge))]  # the belief comes last
+                entries = seen[:, : len(offered(watcher.knowledge))]  # the belief comes last
                 estimate, self._memories[name] = watcher.observe(entries, self._memories[name])
                 if self._step % HOLD == 0:
                     self.estimates[name].append(estimate)

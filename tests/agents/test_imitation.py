@@ -25,7 +25,6 @@ from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.command_line import begun_options
-from agents.runs.settings import task_of
 from agents.runs.training import News, TrainingMonitor, validate
 from baselines import CONTROLLERS
 from baselines.engines.parallel import Interrupted
@@ -133,7 +132,7 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
 
 def test_advice_on_a_shift():
     """Every move is advised on in the state that it begins in, as the environment has it, bit for bit."""
-    settings, task = ResidualSettings(limit=0.2, hold=4), task_of(3)
+    settings, task = ResidualSettings(limit=0.2, hold=4), {"randomization": "train", "moves": 3}
     recorder = Recorder(Constant(0.1))
     recording = rollout(ResidualController(CONTROLLERS["preview"](), recorder, settings), 2, seed=SEED, **task)
     states = teaching._motion(recording)
@@ -196,7 +195,7 @@ def test_what_is_left_is_a_policy_with_its_score(whole: tuple[Path, list[int]]):
     folder, seeds = whole
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.base, spec.gru) == ("student", "paper", 6)
-    scores = validate(load_controller(folder / "last"), 2, task_of(1))
+    scores = validate(load_controller(folder / "last"), 2)
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
     assert seeds == [4 * k for k in range(len(seeds))] != [], "every round has arms of its own, trials of four"
 
@@ -272,7 +271,7 @@ def test_a_run_that_is_stopped_in_either_part_goes_on_as_if_it_had_not_been(
     rounds = [0, 4 * 30, 2 * 4 * 30]  # of 4 arms with 30 holds
     assert [steps for steps, _, _ in whole_taught.curve] == [*rounds, rounds[-1] + 128, rounds[-1] + 256]
     assert spec.provenance["run"]["steps"] == whole_taught.learner.steps == whole_taught.config.length
-    assert validate(load_controller(folder / "last"), 4, task_of(1)) == spec.provenance["reached"]["validation"]
+    assert validate(load_controller(folder / "last"), 4) == spec.provenance["reached"]["validation"]
     config, stops = taught(tmp_path), 0
     for looks in (5, 30, 70, 72):
         try:

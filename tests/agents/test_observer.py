@@ -14,10 +14,9 @@ from refusals import refused
 
 from agents.observer import network
 from agents.observer import run as running
-from agents.observer.episodes import Episodes, truth
-from agents.observer.network import BELIEVED, MAX_WIDTH, NAMES, SCALES, Observer, load_observer, offered, save_observer
-from agents.observer.run import ObserverConfig, fit
-from agents.residual.knowledge import InformedBase
+from agents.observer.network import BELIEVED, MAX_WIDTH, NAMES, SCALES, Observer, load_observer, save_observer
+from agents.observer.run import Episodes, ObserverConfig, fit, truth
+from agents.residual.knowledge import InformedBase, offered
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
@@ -164,7 +163,7 @@ class TestRun:
             patch.setattr(running, "fit", Mock(side_effect=KeyboardInterrupt))
             refused(KeyboardInterrupt, ("the same command continues",), lambda: running.run(config))
         assert len(list(tmp_path.glob(".o-episodes/*.safetensors"))) == 1 and not config.file.exists()
-        monkeypatch.setattr(running, "simulate_block", None)
+        monkeypatch.setattr(running, "simulate", None)
         running.run(config)
         assert [path.name for path in tmp_path.iterdir()] == ["o.safetensors"]
         _, content = load_observer(config.file)

@@ -25,7 +25,6 @@ from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
-from agents.runs.settings import task_of
 from agents.runs.training import News, TrainingMonitor, train, validate
 from agents.tensor_file import MAX_BYTES
 from baselines.engines.parallel import Channel, Interrupted
@@ -55,7 +54,7 @@ def test_bundles_of_all_algorithms(name: str, whole_of: Any):
     spec, _ = read_spec(last)
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in last.iterdir())
     assert spec.provenance["curve"] == [list(point) for point in whole.curve]
-    validated = validate(load_controller(last), 4, task_of(1))
+    validated = validate(load_controller(last), 4)
     assert validated == spec.provenance["reached"]["validation"]
     assert read_spec(whole.config.out / "best")[0].provenance["run"]["steps"] in (128, 256)
 

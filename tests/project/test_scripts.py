@@ -88,6 +88,8 @@ def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_
         assert stopped(train_ppo, (*again, *words), tmp_path) == (0, "")
     assert read_csv(copy / "validation.csv")[-1]["steps"] == "448"
     assert "--arms 8, not 16" in mistake(train_ppo, (*again, "--arms", "16"), tmp_path)
+    assert "448 agent steps already" in mistake(train_ppo, (*again, "--total-steps", "256"), tmp_path)
+    assert stopped(train_ppo, again, tmp_path) == (0, ""), "what was refused is not noted"
     content = json.loads((copy / COMMAND).read_text())
     content["config"]["total_steps"] = "many"
     for text, named in ((json.dumps(content), "--total-steps=many"), ("{}", "command.json is damaged")):

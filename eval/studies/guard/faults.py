@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from agents.residual.controller import Policy
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv, observation
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.kernels import layout as at
+from beltarm_env.rollout import Controller
 from beltarm_env.task.moves import WORKSPACE
 from beltarm_env.timing import EPISODE_TIME
 
@@ -175,12 +175,12 @@ class BrokenPolicy:
         arms: Whose onsets count.
     """
 
-    def __init__(self, policy: Policy, arms: FaultyArms) -> None:
+    def __init__(self, policy: Controller, arms: FaultyArms) -> None:
         self._policy, self._arms = policy, arms
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
-        """Residuals of shape (n, 1), see `Policy`."""
+        """Residuals of shape (n, 1), see `Controller`."""
         residual, following = self._policy.predict(observation, state, episode_start, deterministic)
         return np.where(self._arms.broken[:, None], np.float32(np.nan), residual), following

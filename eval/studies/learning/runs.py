@@ -18,7 +18,7 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
 from agents.policy.bundle import BundleError, load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
-from agents.runs.settings import RunConfig, task_of
+from agents.runs.settings import RunConfig
 from agents.runs.training import SCORES, train
 from baselines.engines.parallel import Channel
 from baselines.tools.files import write_text
@@ -213,7 +213,7 @@ def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[s
     Returns:
         Means and medians over all moves, and the share of arms that left the workspace [%].
     """
-    task: dict[str, Any] = {**task_of(StudentConfig.moves), "sensors": sensors}
+    task: dict[str, Any] = {"randomization": "train", "moves": StudentConfig.moves, "sensors": sensors}
     run = rollout(controller, arms, seed=ABLATIONS.first, **task)
     metrics = run.metrics()
     shown = (*SCORES, "still_s", "torque_reversals_hz")
