@@ -219,6 +219,7 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
         costs: list[float] = []
         try:
             train(run, Channel(partial(_judge, trial, costs), channel.stop))
+            cost = min(costs)
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
         except Interrupted:
@@ -227,8 +228,8 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
             trial.set_user_attr("failure", str(error))
             study.tell(trial, state=TrialState.FAIL)
         else:
-            study.tell(trial, min(costs))
-            channel.report(f"trial {trial.number}: cost {min(costs):.1f}, best {study.best_value:.1f}")
+            study.tell(trial, cost)
+            channel.report(f"trial {trial.number}: cost {cost:.1f}, best {study.best_value:.1f}")
         finally:
             shutil.rmtree(run.out, ignore_errors=True)
 

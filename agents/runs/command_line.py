@@ -129,7 +129,8 @@ def _run(config: RunConfig, console: Console) -> None:
                         show(name, end.steps, f"done, {end.scores}")
                     workplace.collect(name, runs[name].out)
     if failed:
-        raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))
+        saved = len(runs) - len(failed)
+        raise ValueError("\n".join(failed + [f"{saved} other runs are saved in {config.out}"] * (saved > 0)))
     if stop.made:
         raise Interrupted(f"interrupted; all runs that had started are saved in {config.storage or config.out}")
     print(f"saved in {config.out}; learning curves: {this_python()} eval/curves.py --runs {config.out}")

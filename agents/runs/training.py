@@ -100,8 +100,8 @@ class TrainingMonitor:
             self.progress = folder.load(self.learner.restore)
             if config.length < min(self.learner.steps, self.progress.get("length", 0)):  # a rollout may go beyond it
                 raise ValueError(
-                    f"the run in {folder.folder} has {self.learner.steps} agent steps already, and was to end at "
-                    f"{config.length}: give a larger --total-steps or --rounds"
+                    f"the run in {folder.folder} has {self.learner.steps} agent steps already, more than it is now "
+                    f"to end at, {config.length}: give a larger --total-steps or --rounds"
                 )
         self.progress["length"] = config.length
         folder.note(config, self.progress["curve"] if resumed else None)
