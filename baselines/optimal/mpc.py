@@ -34,12 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from baselines.estimation.observer import AHEAD, DISTURBANCE, ObserverDesign, observer_design
 from baselines.models.actuator import dead_time
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.models.ramps import move_of
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
-from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, ObserverController
+from baselines.optimal.observer_feedback import ADDED, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weights, softened_sine, write_tip_errors
@@ -183,6 +184,7 @@ class MpcGains(PreviewGains):
 class MpcDesign(NamedTuple):
     """What the law for one arm knows."""
 
+    observer: ObserverDesign
     ahead: Horizon
     lead: float  # T [s]
     opposing: float  # friction that the plan leaves room for [N m]
@@ -208,5 +210,5 @@ class MpcController(ObserverController):
 
     def _known(self) -> MpcDesign:
         p, g = self.params, self.gains
-        opposing = g.friction_share * p.coulomb_friction
-        return MpcDesign(horizon(p, g.weights()), dead_time(p), opposing, g.compensation(p))
+        observer, opposing = observer_design(p, g.noise()), g.friction_share * p.coulomb_friction
+        return MpcDesign(observer, horizon(p, g.weights()), dead_time(p), opposing, g.compensation(p))

@@ -15,7 +15,17 @@ from baselines.estimation.accelerometer import SPREAD, acceleration_slopes, stea
 from baselines.estimation.believed_arm import DELAY, GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
 from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
-from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
+from baselines.estimation.observer import (
+    AHEAD,
+    ESTIMATE_SIZE,
+    QUANTUM,
+    Measured,
+    Noise,
+    correct,
+    kalman_gains,
+    observe,
+    observer_design,
+)
 from baselines.gains import tuned
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
@@ -26,6 +36,7 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
+from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.accelerometer import BIAS, RANGE
 from beltarm_env.task.ranges import PART_MASS, PRESLIDING, TRAIN_RANGES
 
@@ -52,10 +63,13 @@ class TestObserver:
         """True states, their estimates, and those for when a command acts: shapes (steps, 4)."""
         env = BeltArmVectorEnv(1, autoreset_mode="Disabled", encoder_counts=encoder_counts)
         observations, _ = env.reset(options={"params": asdict(params), "state": [GEAR * 0.8, 0.0, 0.0, 0.0]})
-        observer, estimate, rows = StickSlipObserver(params), None, []
+        design, room = observer_design(params, Noise()), ArmSimulation(params).room
+        estimate, rows = np.zeros((1, ESTIMATE_SIZE)), []
         for k in range(steps):
-            estimate = observer.update(estimate, read(observations, params), np.array([k == 0]))
-            rows.append((env.state[0], estimate.state[0], estimate.ahead[0]))
+            seen = read(observations, params)
+            measured = Measured(seen.motor_angle, seen.last_command)
+            observe(correct, design, measured, np.array([k == 0]), estimate, room)
+            rows.append((env.state[0], estimate[0, :4].copy(), estimate[0, AHEAD].copy()))
             observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
         return [np.array(part) for part in zip(*rows, strict=True)]
 
