@@ -27,7 +27,6 @@ See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -172,13 +171,12 @@ def observe_arm(design: ObserverDesign, now: Sample, begins: bool, rows: Floats,
     observe(correct, design, measured, np.full(1, begins), rows, room)
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(NamedTuple):
     """Standard deviations of the process noise."""
 
-    torque: float = 3e-3  # at the motor, white [N m]
-    acceleration: float = 5.0  # torsional, white [rad/s^2]
-    disturbance: float = 0.1  # growth of d [N m / sqrt(s)]
+    torque: float  # at the motor, white [N m]
+    acceleration: float  # torsional, white [rad/s^2]
+    disturbance: float  # growth of d [N m / sqrt(s)]
 
 
 def with_disturbance(arm: LinearArm, torque: float, acceleration: float, decay: float) -> tuple[Floats, Floats]:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 
-from baselines.controller import ClassicalController, run_law
+from baselines.controller import TunedController, run_law
 from baselines.estimation.observer import ESTIMATE_SIZE, Correction, Measured, correct, observe
 from baselines.reading import Reading
-from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.simulation import ArmSimulation
 
@@ -20,29 +18,14 @@ ADDED, OWN = ESTIMATE_SIZE, ESTIMATE_SIZE + 1
 on what the law keeps besides."""
 
 
-class ObserverController(ClassicalController[Any]):
-    """Base of controllers with an observer; a subclass names its `gains_type` and `feedback_law`, and writes `_known`.
+class ObserverController(TunedController[Any]):
+    """Base of controllers with an observer; a subclass names its `feedback_law`, and knows the design of `observer`."""
 
-    Args:
-        gains: Of this type; those before tuning if not given.
-        params: The design model.
-    """
-
-    gains_type: ClassVar[type[Any]]
     feedback_law: ClassVar[Callable[..., float]]
     """See `LawKernel.law`; of its memory only the estimate counts where an episode begins."""
     correction: ClassVar[Correction] = staticmethod(correct)
     memory_size: ClassVar[int] = OWN
-
-    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains: Any = gains or self.gains_type()
-        self._design = self._known()
-        self._simulation: ArmSimulation | None = None  # of as many arms as there were so far
-
-    @abstractmethod
-    def _known(self) -> Any:
-        """What the law knows, with the design of its `observer`: a named tuple of numbers and arrays."""
+    _simulation: ArmSimulation | None = None  # of as many arms as there were so far
 
     def law(self, reading: Reading, begins: Flags, memory: Any) -> tuple[Floats, Any]:
         """Torque [N m] of one sample, see `ClassicalController`."""

@@ -15,28 +15,17 @@ from baselines.estimation.accelerometer import SPREAD, acceleration_slopes, stea
 from baselines.estimation.believed_arm import DELAY, GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
 from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
-from baselines.estimation.observer import (
-    AHEAD,
-    ESTIMATE_SIZE,
-    QUANTUM,
-    Measured,
-    Noise,
-    correct,
-    kalman_gains,
-    observe,
-    observer_design,
-)
+from baselines.estimation.observer import AHEAD, QUANTUM, Noise, kalman_gains
 from baselines.gains import tuned
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
-from baselines.registry import WITH_ACCELEROMETER
+from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
-from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.accelerometer import BIAS, RANGE
 from beltarm_env.task.ranges import PART_MASS, PRESLIDING, TRAIN_RANGES
 
@@ -63,13 +52,10 @@ class TestObserver:
         """True states, their estimates, and those for when a command acts: shapes (steps, 4)."""
         env = BeltArmVectorEnv(1, autoreset_mode="Disabled", encoder_counts=encoder_counts)
         observations, _ = env.reset(options={"params": asdict(params), "state": [GEAR * 0.8, 0.0, 0.0, 0.0]})
-        design, room = observer_design(params, Noise()), ArmSimulation(params).room
-        estimate, rows = np.zeros((1, ESTIMATE_SIZE)), []
+        controller, memory, rows = CONTROLLERS["lqg"](params), None, []
         for k in range(steps):
-            seen = read(observations, params)
-            measured = Measured(seen.motor_angle, seen.last_command)
-            observe(correct, design, measured, np.array([k == 0]), estimate, room)
-            rows.append((env.state[0], estimate[0, :4].copy(), estimate[0, AHEAD].copy()))
+            _, memory = controller.predict(observations, memory)
+            rows.append((env.state[0], memory[0, :4], memory[0, AHEAD]))
             observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
         return [np.array(part) for part in zip(*rows, strict=True)]
 
