@@ -142,13 +142,13 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
     tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
     with (
         closing(run_side_by_side(tasks, config.jobs)) as outcomes,
-        progress_rows(["episodes"], len(blocks), Console(stderr=True)) as rows,
+        progress_rows(["episodes"], len(blocks), Console(stderr=True)) as show,
     ):
-        rows.show("episodes", len(blocks) - len(missing))
+        show("episodes", len(blocks) - len(missing))
         for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(missing) + 1):
             if isinstance(outcome, Failure):
                 raise outcome.error
-            rows.show("episodes", done)
+            show("episodes", done)
     return Episodes.joined([Episodes(**load(file.read_bytes())) for file in files.values()])
 
 
@@ -179,9 +179,9 @@ def run(config: ObserverConfig) -> None:
         episodes = _simulated(config, observer)
         torch.set_num_threads(1)
         torch.manual_seed(config.seed)  # simulating in this process draws from it too
-        with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
+        with progress_rows(["fit"], 1.0, Console(stderr=True)) as show:
             for share, loss in fit(observer, episodes, config):
-                rows.show("fit", share, f"loss {loss:.3f}")
+                show("fit", share, f"loss {loss:.3f}")
     except KeyboardInterrupt:
         message = "interrupted; simulated episodes are kept, and the same command continues with them"
         raise KeyboardInterrupt(message) from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -25,7 +25,7 @@ from baselines.engines.workplace import Workplace
 from baselines.tools.command import resume_command, run_command, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import note_options, noted_options
-from baselines.tools.progress import ProgressRows, progress_rows
+from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
 
 
@@ -61,9 +61,9 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
     return noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
 
 
-def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
+def _show(show: Callable[..., None], console: Console, name: str, news: News) -> None:
     """Show how far a run is; where nobody watches a terminal, as a line for each validation."""
-    rows.show(name, news.steps, news.scores)
+    show(name, news.steps, news.scores)
     if news.cost is not None and not console.is_terminal:
         console.print(f"{name}: {news.steps} steps, {news.scores}", soft_wrap=True)
 
@@ -110,19 +110,19 @@ def _run(config: RunConfig, console: Console) -> None:
             for name, run in runs.items()
         }
         asked = partial(console.print, "stopping after this update; press Ctrl-C again to stop at once")
-        with stop_on_signals(stop, asked), progress_rows(runs, config.length, console) as rows:
-            show = partial(_show, rows, console)
-            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": show}
+        with stop_on_signals(stop, asked), progress_rows(runs, config.length, console) as show:
+            tell = partial(_show, show, console)
+            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": tell}
             with closing(run_side_by_side(tasks, config.jobs, **options)) as ends:
                 for name, end in ends:
                     if isinstance(end, Failure):
                         if alone:
                             raise end.error
-                        rows.show(name, state=end.message)
+                        show(name, state=end.message)
                         if not isinstance(end.error, Interrupted):
                             failed.append(f"{name}: {end.resumable_message}")
                     else:
-                        rows.show(name, end.steps, f"done, {end.scores}")
+                        show(name, end.steps, f"done, {end.scores}")
                     workplace.collect(name, runs[name].out)
     if failed:
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))

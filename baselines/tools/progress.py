@@ -15,27 +15,23 @@ _Thing = TypeVar("_Thing")
 _LINE_EVERY = 15.0  # [s], where there is no terminal
 
 
-class ProgressRows:
-    """Rows of a progress display; a row's clock starts with its first news."""
-
-    def __init__(self, display: Progress, names: Iterable[str], total: float) -> None:
-        self._display = display
-        self._rows = {name: display.add_task(name, total=total, start=False, state="") for name in names}
-
-    def show(self, name: str, completed: float | None = None, state: str = "") -> None:
-        """Show how far a task has come, and its state in words."""
-        self._display.start_task(self._rows[name])
-        self._display.update(self._rows[name], completed=completed, state=state)
-        self._display.start()
-
-
 @contextmanager
-def progress_rows(names: Iterable[str], total: float, console: Console | None = None) -> Iterator[ProgressRows]:
-    """Show a row for each name, which is full at `total`."""
+def progress_rows(names: Iterable[str], total: float, console: Console | None = None) -> Iterator[Callable[..., None]]:
+    """Show a row for each name, which is full at `total`; its clock starts with its first news.
+
+    Call with the name, how much is completed, and the state in words.
+    """
     columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
     display = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console)
+    rows = {name: display.add_task(name, total=total, start=False, state="") for name in names}
+
+    def show(name: str, completed: float | None = None, state: str = "") -> None:
+        display.start_task(rows[name])
+        display.update(rows[name], completed=completed, state=state)
+        display.start()
+
     try:
-        yield ProgressRows(display, names, total)
+        yield show
     finally:
         _stop(display)
 

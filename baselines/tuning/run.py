@@ -117,7 +117,7 @@ def tune(config: TuningConfig, console: Console) -> None:
     with (
         Workplace(config, config.journals) as workplace,
         stop_on_signals(stop, lambda: console.print("stopping soon; press Ctrl-C again to stop at once")),
-        progress_rows(names, config.budget, console) as rows,
+        progress_rows(names, config.budget, console) as show,
     ):
         for name in names:
             workplace.prepare(name, config.journals, resume=config.resume, overwrite=True)
@@ -134,7 +134,7 @@ def tune(config: TuningConfig, console: Console) -> None:
         }
 
         def tell(name: str, state: SearchProgress) -> None:
-            rows.show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
+            show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
 
         outcomes = run_side_by_side(searches, config.jobs, engine=config.runs_on, stop=stop, tell=tell)
         with closing(outcomes):
@@ -145,7 +145,7 @@ def tune(config: TuningConfig, console: Console) -> None:
                     write_entry(name, gains, provenance(config, name, gains, found, at), config.out)
                     effort = f"{found.trials} trials, {found.refused} refused, {found.seconds:.0f} s"
                     costs = f"cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}"
-                    rows.show(name, config.budget, f"{costs}, {effort}")
+                    show(name, config.budget, f"{costs}, {effort}")
                 elif not isinstance(found.error, Interrupted):
                     errors.append(f"{name}: {found.resumable_message}")
     if errors:
