@@ -27,7 +27,6 @@ few unknowns; the first ones are as short as a sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -176,11 +175,6 @@ def plan(ahead: Horizon, move: MoveShape, time: float, state: Floats, friction: 
     minimise(problem, ahead.change_weight, first, torques)
 
 
-@dataclass(frozen=True)
-class MpcGains(PreviewGains):
-    """Weights of the predicted cost, noise of the filter and friction compensation, as in preview."""
-
-
 class MpcDesign(NamedTuple):
     """What the law for one arm knows."""
 
@@ -205,7 +199,7 @@ def _torque(design: MpcDesign, now: Sample, begins: bool, row: Floats) -> float:
 class MpcController(ObserverController):
     """Model predictive control on encoder observations."""
 
-    gains_type = MpcGains
+    gains_type = PreviewGains
     feedback_law = staticmethod(_torque)
 
     def _known(self) -> MpcDesign:
