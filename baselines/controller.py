@@ -103,3 +103,23 @@ class ScalarController(ClassicalController[Floats]):
         torques = np.empty(count)
         run_law(law, design, reading, begins, memory, torques)
         return torques, memory
+
+
+class TunedController(ClassicalController[Memory]):
+    """Base of controllers with gains; a subclass names its `gains_type`, and writes `_known`.
+
+    Args:
+        gains: Of this type; those before tuning if not given.
+        params: The design model.
+    """
+
+    gains_type: ClassVar[type[Any]]
+
+    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
+        self.gains: Any = gains or self.gains_type()
+        self._design = self._known()
+
+    @abstractmethod
+    def _known(self) -> Any:
+        """What the law knows: a named tuple of numbers and arrays."""

@@ -15,8 +15,7 @@ from baselines.optimal.robust import RobustController
 from baselines.servo.adrc import AdrcController
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.flat import FlatController
-from baselines.servo.paper import PaperController, rigid_controller
-from baselines.servo.retuned import RetunedController
+from baselines.servo.paper import PaperController, RetunedController, rigid_controller
 from baselines.servo.shaping import EiController, ZvController, ZvdController
 from baselines.servo.smooth import SmoothController
 from baselines.tools.command import require_known

@@ -10,7 +10,7 @@ output and n white noise but for a correlation of lambda / (1 + lambda^2) = 0.09
 two samples the hand turns by about a milliradian. m is a function of the states at both ends of a sample, those that
 a filter's prediction begins and ends with.
 
-`AccelerometerObserver` is `baselines.estimation.observer` with these two readings more in its correction,
+`correct_by_both` is the correction of `baselines.estimation.observer` with these two readings more,
 
     [x; d] = [x^-; d] + L (y - h),     y = [theta_a; m - b],     h = [x^-_1; R (v(x^-) - v(x)) / T]
 
@@ -30,28 +30,31 @@ corrected there too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.observer import (
     AT_REST,
+    DISTURBANCE,
     LARGEST,
     LARGEST_TORQUE,
     QUANTUM,
-    SLIDES,
-    Estimate,
+    STATE,
+    Measured,
     Noise,
-    StickSlipObserver,
+    limited,
+    sticks,
     with_disturbance,
 )
-from baselines.models.linear import ANGLES, LinearArm, at_angle, linear_arm
-from baselines.reading import Reading
+from baselines.models.actuator import dead_time
+from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arm import COLUMN, Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
@@ -89,28 +92,14 @@ def unfiltered(now: Floats, before: Floats) -> tuple[Floats, Floats]:
     return (now - DECAY * before) / (1 - DECAY), np.where(cut, 1e6, SPREAD**2)
 
 
-@dataclass(frozen=True)
-class AccelerometerEstimate(Estimate):
-    """Estimated states of n arms, and the readings of their accelerometers."""
-
-    acceleration: Floats  # last readings [m/s^2], shape (n, AXES)
-    bias: Floats  # zero-g outputs [m/s^2], shape (n, AXES)
-
-
-@compiled
-def mean_accelerations(before: Floats, after: Floats, plant: Plant) -> Floats:
-    """Mean accelerations along and across the hand [m/s^2], shape (n, AXES), from x to x, both of shape (n, 4)."""
-    result = np.empty((len(after), AXES))
-    for i in range(len(after)):
-        x, y = ArmState._make(before[i, k] for k in range(4)), ArmState._make(after[i, k] for k in range(4))
-        result[i, 0], result[i, 1] = mean_acceleration(tip_motion(x, plant), y, plant, None)
-    return result
-
-
 def acceleration_slopes(angle: float, plant: Plant) -> Floats:
     """Derivatives of the readings by x at a sample's end, of an arm at rest at an angle [rad]: shape (AXES, 4)."""
-    at_rest = np.tile([angle * plant.gear, 0.0, 0.0, 0.0], (4, 1))
-    up, down = (mean_accelerations(at_rest, at_rest + side * np.diag(_SMALL), plant) for side in (1, -1))
+    rest = np.array([angle * plant.gear, 0.0, 0.0, 0.0])
+    before = tip_motion(ArmState(*rest), plant)
+    up, down = (
+        np.array([mean_acceleration(before, ArmState(*(rest + step)), plant, None) for step in side * np.diag(_SMALL)])
+        for side in (1, -1)
+    )
     return (up - down).T / (2 * _SMALL)
 
 
@@ -138,57 +127,68 @@ def steady_accelerometer_gain(
     return (transition @ before @ seen.T + shared) @ np.linalg.inv(seen @ before @ seen.T + measured)
 
 
+class AccelerometerDesign(NamedTuple):
+    """What the filter knows: beside `ObserverDesign`, the arm's kinematics, and gains for three innovations."""
+
+    row: Floats
+    delay: float
+    plant: Plant
+    sliding: Floats  # L of a motor that slides, at each of `ANGLES` and of `_SPEEDS`, shape (46, 6, 5, 1 + AXES)
+    sticking: Floats  # and of one that sticks, shape (46, 5, 1 + AXES)
+
+
 @lru_cache(maxsize=8)
-def accelerometer_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats]:
-    """Gains L at each of `ANGLES`: of a motor that slides, at each of `_SPEEDS`, and of one that sticks."""
+def accelerometer_design(params: ArmParams, noise: Noise) -> AccelerometerDesign:
+    """Filter of arms with design parameters `params` and an accelerometer on their ends."""
     plant, reach = params.plant(), 2 * params.link_length + params.hand_length
     moving, held = (linear_arm(of) for of in (params, replace(params, motor_inertia=_HELD * params.motor_inertia)))
-    slides, sticks = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
+    sliding, sticking = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
     for k, angle in enumerate(ANGLES):
         slopes = acceleration_slopes(angle, plant)
         arm = moving.at(k)
         for j, speed in enumerate(_SPEEDS):
             across = float(np.hypot(SPREAD, reach * 4 * _ERROR * speed**2))
-            slides[k, j] = steady_accelerometer_gain(arm, slopes, noise, 1.0, (SPREAD, across))
-        rest = held.at(k)
-        sticks[k] = steady_accelerometer_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
-    sticks[:, [0, 1, 4]] = sticks[:, :, 0] = 0.0
-    sticks[:, 0, 0] = AT_REST
-    return slides, sticks
+            sliding[k, j] = steady_accelerometer_gain(arm, slopes, noise, 1.0, (SPREAD, across))
+        sticking[k] = steady_accelerometer_gain(held.at(k), slopes, noise, 0.0, (SPREAD, SPREAD))
+    sticking[:, [0, 1, 4]] = sticking[:, :, 0] = 0.0
+    sticking[:, 0, 0] = AT_REST
+    return AccelerometerDesign(params.row(), dead_time(params) / CONTROL_PERIOD, plant, sliding, sticking)
 
 
-class AccelerometerObserver(StickSlipObserver):
-    """Kalman filter for arms with design parameters `params` and an accelerometer on their ends."""
+@inlined
+def place_of_speed(speed: float) -> tuple[int, float]:
+    """Index in `_SPEEDS` at or below a motor's speed [rad/s], and the weight of the next one at it."""
+    low, last = 0, len(_SPEEDS) - 1
+    while low < last - 1 and speed >= _SPEEDS[low + 1]:
+        low += 1
+    return low, min((speed - _SPEEDS[low]) / (_SPEEDS[low + 1] - _SPEEDS[low]), 1.0)
 
-    def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
-        super().__init__(params, noise)
-        self._plant = params.plant()
-        self._slides, self._sticks = accelerometer_gains(params, noise or Noise())
 
-    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> AccelerometerEstimate:
-        """Bring the estimate up to this sample, see `StickSlipObserver`."""
-        assert reading.acceleration is not None
-        found = super().update(estimate, reading, begins)
-        first = estimate.bias if isinstance(estimate, AccelerometerEstimate) else reading.acceleration
-        bias = np.where(begins[:, None], reading.acceleration, first)
-        return AccelerometerEstimate(
-            found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias
-        )
-
-    def _correct(self, estimate: Estimate, reading: Reading, states: Floats, disturbances: Floats) -> None:
-        """Correct predicted states, see `StickSlipObserver`."""
-        assert isinstance(estimate, AccelerometerEstimate) and reading.acceleration is not None
-        off, angle = reading.motor_angle - states[:, 0], states[:, 0] / self.params.gear_ratio
-        readings, variance = unfiltered(reading.acceleration, estimate.acceleration)
-        acceleration = readings - estimate.bias - mean_accelerations(estimate.state, states[:, :X], self._plant)
-        acceleration[variance > SPREAD**2] = 0.0
-        place = np.interp(np.abs(states[:, 1]), _SPEEDS, np.arange(len(_SPEEDS)))
-        low = np.minimum(place.astype(np.intp), len(_SPEEDS) - 2)
-        tables, rows = at_angle(self._slides, angle), np.arange(len(angle))
-        part = (place - low)[:, None, None]
-        gains = (1 - part) * tables[rows, low] + part * tables[rows, low + 1]
-        rests = (states[:, 1] == 0) & (np.abs(off) <= SLIDES)
-        gains[rests] = at_angle(self._sticks, angle[rests])
-        correction = np.einsum("nij,nj->ni", gains, np.column_stack([off, acceleration]))
-        states[:, :X] = np.clip(states[:, :X] + correction[:, :X], -LARGEST, LARGEST)
-        disturbances[:] = np.clip(estimate.disturbance + correction[:, X], -LARGEST_TORQUE, LARGEST_TORQUE)
+@compiled
+def correct_by_both(
+    design: AccelerometerDesign, measured: Measured, arm: int, predicted: Floats, estimate: Floats
+) -> None:
+    """Replace the last sample's estimate for one arm by the predicted state, corrected by encoder and accelerometer."""
+    before, after = (ArmState._make(x[k] for k in range(X)) for x in (estimate, predicted))
+    means, innovations = mean_acceleration(tip_motion(before, design.plant), after, design.plant, None), np.empty(3)
+    innovations[0] = measured.angle[arm] - predicted[0]
+    for k, mean in enumerate(means):
+        acceleration = measured.acceleration[arm, k]
+        innovations[1 + k] = 0.0 if np.isnan(acceleration) else acceleration - mean
+    estimate[STATE] = predicted
+    at_rest = sticks(estimate, measured.angle[arm])
+    row, weight = place(estimate[0] / design.row[COLUMN.gear_ratio])
+    low, part = place_of_speed(abs(estimate[1]))
+    for i in range(X + 1):
+        correction = 0.0
+        for k in range(1 + AXES):
+            gain = between(design.sticking[row, i, k], design.sticking[row + 1, i, k], weight)
+            if not at_rest:
+                slow = between(design.sliding[row, low, i, k], design.sliding[row + 1, low, i, k], weight)
+                fast = between(design.sliding[row, low + 1, i, k], design.sliding[row + 1, low + 1, i, k], weight)
+                gain = between(slow, fast, part)
+            correction += gain * innovations[k]
+        if i < X:
+            estimate[i] = limited(estimate[i] + correction, LARGEST[i])
+        else:
+            estimate[DISTURBANCE] = limited(estimate[DISTURBANCE] + correction, LARGEST_TORQUE)

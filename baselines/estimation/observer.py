@@ -26,33 +26,32 @@ See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
-from baselines.reading import Reading, Sample
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.kernels.simulate import (
+    DRIVE_STATES,
     Room,
-    advance_arm,
+    X,
+    advance_arms,
     hold_friction,
     load_arm,
-    look_ahead,
+    look_ahead_arms,
     rest_arm,
-    room_for_one,
-    state_size,
 )
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.simulation import ArmSimulation, X
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 QUANTUM = 2 * np.pi / ENCODER_COUNTS
@@ -68,28 +67,36 @@ LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])
 """Of x: keeps an estimate that has diverged finite."""
 
 
+STATE, AHEAD, DISTURBANCE = slice(X + DRIVE_STATES), slice(X + DRIVE_STATES, 2 * X + DRIVE_STATES), 2 * X + DRIVE_STATES
+"""Entries of an estimate: of arm and drive, as `ArmSimulation` has them, of which the first are x now; x at the time at
+which a command of now acts; and d [N m]."""
+ESTIMATE_SIZE = DISTURBANCE + 1
+
+
 class ObserverDesign(NamedTuple):
-    """What a filter of one arm knows: the design model, and its gains."""
+    """What a filter knows: the design model, and its gains."""
 
     row: Floats  # constants of the design model, as the fields of `ArmParams`
     gains: Floats  # L at each of `ANGLES`, shape (46, 5)
     delay: float  # dead time of the drive [samples]
 
 
-class Track(NamedTuple):
-    """Memory of a filter of one arm, written in place."""
+class Measured(NamedTuple):
+    """What n arms measure in one sample."""
 
-    state: Floats  # of arm and drive, shape (size,)
-    ahead: Floats  # x at the time at which a command of now acts, shape (4,)
-    disturbance: Floats  # d [N m], shape (1,)
-    moved: Floats  # room for a state, shape (size,)
-    room: Room
+    angle: Floats  # of the motor [rad], shape (n,)
+    command: Floats  # of the last sample [N m], shape (n,)
+    acceleration: Any = None  # of the tip, see `accelerometer.unfiltered`, less b; NaN where it tells none; (n, AXES)
+
+
+Correction = Callable[[Any, Measured, int, Floats, Floats], None]
+"""See `correct`."""
 
 
 @inlined
-def acting_torque(command: float, motor_speed: float, disturbance: float) -> float:
+def acting_torque(command: float, estimate: Floats) -> float:
     """Torque u + d [N m]; a motor that sticks has no disturbance."""
-    return command + (disturbance if motor_speed != 0.0 else 0.0)
+    return command + (estimate[DISTURBANCE] if estimate[1] != 0.0 else 0.0)
 
 
 @inlined
@@ -99,85 +106,77 @@ def limited(value: float, largest: float) -> float:
 
 
 @inlined
-def sticks(state: Floats, motor_angle: float) -> bool:
-    """Whether a motor is taken to stick, by its predicted state, shape (size,), and the encoder [rad]."""
-    return (state[1] == 0.0) & (abs(motor_angle - state[0]) <= SLIDES)
+def sticks(estimate: Floats, motor_angle: float) -> bool:
+    """Whether a motor is taken to stick, by its predicted state and the encoder [rad]."""
+    return (estimate[1] == 0.0) & (abs(motor_angle - estimate[0]) <= SLIDES)
 
 
 @compiled
-def correct(design: ObserverDesign, state: Floats, disturbance: float, motor_angle: float) -> float:
-    """Correct the predicted state of one arm by its encoder [rad], and return the corrected disturbance [N m]."""
-    at_rest, innovation = sticks(state, motor_angle), motor_angle - state[0]
-    row, weight = place(state[0] / design.row[COLUMN.gear_ratio])
+def correct(design: ObserverDesign, measured: Measured, arm: int, predicted: Floats, estimate: Floats) -> None:
+    """Replace the last sample's estimate for one arm by the predicted state, corrected by the encoder."""
+    estimate[STATE] = predicted
+    at_rest, innovation = sticks(estimate, measured.angle[arm]), measured.angle[arm] - estimate[0]
+    row, weight = place(estimate[0] / design.row[COLUMN.gear_ratio])
     for i in range(X):
         gain = _AT_REST[i] if at_rest else between(design.gains[row, i], design.gains[row + 1, i], weight)
-        state[i] = limited(state[i] + gain * innovation, LARGEST[i])
+        estimate[i] = limited(estimate[i] + gain * innovation, LARGEST[i])
     gain = _AT_REST[X] if at_rest else between(design.gains[row, X], design.gains[row + 1, X], weight)
-    return limited(disturbance + gain * innovation, LARGEST_TORQUE)
+    estimate[DISTURBANCE] = limited(estimate[DISTURBANCE] + gain * innovation, LARGEST_TORQUE)
 
 
 @compiled
-def track_arm(design: ObserverDesign, now: Sample, begins: bool, track: Track) -> None:
-    """Bring the estimate of one arm up to this sample, see `StickSlipObserver.update`."""
-    limit, command = float(design.row[COLUMN.torque_limit]), 0.0 if begins else now.last_command
-    if begins:
-        load_arm(track.room.blocks, 0, design.row, LUMPED)
-        hold_friction(track.room.blocks, 0)
-        rest_arm(track.room.blocks, 0, now.motor_angle, track.state)
-        track.disturbance[0] = 0.0
-    else:
-        torque = acting_torque(command, track.state[1], track.disturbance[0])
-        advance_arm(track.room, track.state, torque, limit, LUMPED)
-        track.disturbance[0] = correct(design, track.state, track.disturbance[0], now.motor_angle)
-    torque = acting_torque(command, track.state[1], track.disturbance[0])
-    look_ahead(track.room, track.state, torque, limit, design.delay, LUMPED, track.ahead, track.moved)
+def observe(
+    correct: Correction, design: ObserverDesign, measured: Measured, begins: Flags, estimates: Floats, room: Room
+) -> None:
+    """Bring the estimates for n arms up to this sample, together: one after the other takes three times as long.
 
-
-@compiled
-def acting_torques(commands: Floats, begins: Flags, states: Floats, disturbances: Floats, torques: Floats) -> None:
-    """Write the torques that act on n arms [N m], see `acting_torque`; those that begin have no command yet."""
-    for i in range(len(states)):
-        torques[i] = acting_torque(0.0 if begins[i] else commands[i], states[i, 1], disturbances[i])
-
-
-@compiled
-def correct_arms(design: ObserverDesign, states: Floats, last: Floats, angles: Floats, disturbances: Floats) -> None:
-    """Correct the predicted states of n arms, and write their disturbances [N m] from those of the last sample."""
-    for i in range(len(states)):
-        disturbances[i] = correct(design, states[i], last[i], angles[i])
-
-
-@compiled
-def begin_arms(blocks: Floats, motor_angles: Floats, begins: Flags, states: Floats, disturbances: Floats) -> None:
-    """Put those of n arms that begin at rest where their encoders are [rad], without a disturbance."""
-    for i in range(len(states)):
+    Args:
+        correct: By what is measured.
+        design: What the filter knows, and whatever else `correct` needs.
+        measured: By the arms.
+        begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
+        estimates: Shape (n, ESTIMATE_SIZE or more), written.
+        room: Of an `ArmSimulation` of n arms or more.
+    """
+    count, limit, size = len(begins), float(design.row[COLUMN.torque_limit]), X + DRIVE_STATES
+    limits, delays = np.full(count, limit), np.full(count, design.delay)
+    torques, predicted = np.empty(count), np.empty((count, size))
+    for i in range(count):
         if begins[i]:
-            rest_arm(blocks[i // LANES], i % LANES, motor_angles[i], states[i])
-            disturbances[i] = 0.0
+            rest_arm(room.blocks[i // LANES], i % LANES, measured.angle[i], estimates[i, STATE])
+            estimates[i, DISTURBANCE] = 0.0
+        torques[i] = acting_torque(0.0 if begins[i] else measured.command[i], estimates[i])
+    advance_arms(room, estimates[:, STATE], torques, limits, LUMPED, predicted)
+    for i in range(count):
+        if not begins[i]:
+            correct(design, measured, i, predicted[i], estimates[i])
+            torques[i] = acting_torque(measured.command[i], estimates[i])
+    look_ahead_arms(room, estimates[:, STATE], torques, limits, delays, LUMPED, estimates[:, AHEAD])
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class ObservedArm(NamedTuple):
+    """Memory of observer and law of one arm, written in place."""
+
+    rows: Floats  # estimate, and what the law keeps besides, shape (1, size)
+    room: Room
+
+
+@compiled
+def observe_arm(design: ObserverDesign, now: Sample, begins: bool, rows: Floats, room: Room) -> None:
+    """Bring the estimate for one arm up to this sample, from its encoder."""
+    if begins:
+        load_arm(room.blocks[0], 0, design.row, LUMPED)
+        hold_friction(room.blocks[0], 0)
+    measured = Measured(np.full(1, now.motor_angle), np.full(1, now.last_command))
+    observe(correct, design, measured, np.full(1, begins), rows, room)
+
+
+class Noise(NamedTuple):
     """Standard deviations of the process noise."""
 
-    torque: float = 3e-3  # at the motor, white [N m]
-    acceleration: float = 5.0  # torsional, white [rad/s^2]
-    disturbance: float = 0.1  # growth of d [N m / sqrt(s)]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Estimated states of n arms."""
-
-    arm: Floats  # x = [theta_a, omega_a, theta_s, omega_s] now and the drive's states, as `ArmSimulation` has them
-    ahead: Floats  # x at the time at which a command of now acts, shape (n, 4)
-    disturbance: Floats  # d [N m], shape (n,)
-    simulation: ArmSimulation = field(repr=False)  # of n arms of the design model; has no state of its own
-
-    @property
-    def state(self) -> Floats:
-        """Estimate of x now, shape (n, 4)."""
-        return self.arm[:, :X]
+    torque: float  # at the motor, white [N m]
+    acceleration: float  # torsional, white [rad/s^2]
+    disturbance: float  # growth of d [N m / sqrt(s)]
 
 
 def with_disturbance(arm: LinearArm, torque: float, acceleration: float, decay: float) -> tuple[Floats, Floats]:
@@ -218,44 +217,6 @@ def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
     return np.array([steady_gain(arm, noise.torque, noise.acceleration, 1.0, growth) for arm in rows])
 
 
-class StickSlipObserver:
-    """Kalman filter for arms with design parameters `params`.
-
-    Many arms are predicted side by side; `track_arm` does the same for one arm, by the same kernels.
-    """
-
-    def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
-        self.params = params
-        gains = kalman_gains(params, noise or Noise())
-        self.design = ObserverDesign(params.row(), gains, dead_time(params) / CONTROL_PERIOD)
-
-    def track(self) -> Track:
-        """Memory of `track_arm`."""
-        size = state_size(self.design.row[None])
-        return Track(np.zeros(size), np.zeros(X), np.zeros(1), np.zeros(size), room_for_one())
-
-    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> Estimate:
-        """Bring the estimate up to this sample.
-
-        Args:
-            estimate: That of the last sample; None at the beginning.
-            reading: Measurements, and the torque commanded since the last sample.
-            begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
-        """
-        count, commands = len(begins), reading.last_command
-        simulation = estimate.simulation if estimate else ArmSimulation(self.params, count)
-        torques, disturbances = np.empty(count), np.zeros(count)
-        if estimate is None:
-            begins, states = np.ones(count, np.bool_), np.zeros((count, simulation.size))
-        else:
-            acting_torques(commands, begins, estimate.arm, estimate.disturbance, torques)
-            states = simulation.advance(estimate.arm, torques)
-            self._correct(estimate, reading, states, disturbances)
-        begin_arms(simulation.room.blocks, reading.motor_angle, begins, states, disturbances)
-        acting_torques(commands, begins, states, disturbances, torques)
-        ahead = simulation.ahead(states, torques, np.full(count, self.design.delay))
-        return Estimate(states, ahead, disturbances, simulation)
-
-    def _correct(self, estimate: Estimate, reading: Reading, states: Floats, disturbances: Floats) -> None:
-        """Correct states, shape (n, size), predicted from the last sample's estimate, and write disturbances, (n,)."""
-        correct_arms(self.design, states, estimate.disturbance, reading.motor_angle, disturbances)
+def observer_design(params: ArmParams, noise: Noise) -> ObserverDesign:
+    """Filter of arms with design parameters `params`."""
+    return ObserverDesign(params.row(), kalman_gains(params, noise), dead_time(params) / CONTROL_PERIOD)

@@ -30,9 +30,8 @@ from baselines.optimal.mpc import MpcController, horizon, plan
 from baselines.optimal.preview import PreviewController
 from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
-from baselines.servo.paper import PaperController, next_torsion
+from baselines.servo.paper import PaperController, RetunedController, next_torsion
 from baselines.servo.pid import PidServo
-from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.physics.sampled import sampled_state_space

@@ -26,12 +26,12 @@ import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import LawKernel
-from baselines.estimation.observer import ObserverDesign, track_arm
+from baselines.estimation.observer import AHEAD, DISTURBANCE, ObservedArm, ObserverDesign, observe_arm, observer_design
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObservedArm, ObserverController
+from baselines.optimal.observer_feedback import ADDED, OWN, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
@@ -40,8 +40,9 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
+from beltarm_env.kernels.simulate import room_for
 
-_MOVE = slice(OWN, OWN + CORNERS)  # of a law's row: the smoothed move
+_MOVE = slice(OWN, OWN + CORNERS)  # of the memory: the smoothed move
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,8 @@ def _torque(design: LqgDesign, now: Sample, begins: bool, row: Floats) -> float:
 @compiled
 def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: ObservedArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    track, row = memory.track, memory.row
-    track_arm(design.observer, now, begins, track)
-    row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
-    return _torque(design, now, begins, row)
+    observe_arm(design.observer, now, begins, memory.rows, memory.room)
+    return _torque(design, now, begins, memory.rows[0])
 
 
 class LqgController(ObserverController):
@@ -117,12 +116,12 @@ class LqgController(ObserverController):
 
     gains_type = LqgGains
     feedback_law = staticmethod(_torque)
-    row_size = OWN + CORNERS
+    memory_size = OWN + CORNERS
 
     def _known(self) -> LqgDesign:
         p, g = self.params, self.gains
-        spreads = g.first_spread, g.spread
-        return LqgDesign(self._observer.design, p.plant(), *spreads, self.feedback(), g.compensation(p))
+        observer, spreads = observer_design(p, g.noise()), (g.first_spread, g.spread)
+        return LqgDesign(observer, p.plant(), *spreads, self.feedback(), g.compensation(p))
 
     def feedback(self) -> Floats:
         """Gains K at each of `ANGLES`, shape (46, 5)."""
@@ -130,4 +129,4 @@ class LqgController(ObserverController):
 
     def kernel(self) -> LawKernel:
         """The law for one arm, with its observer."""
-        return LawKernel(lqg_law, self._design, ObservedArm(self._observer.track(), np.zeros(self.row_size)))
+        return LawKernel(lqg_law, self._design, ObservedArm(np.zeros((1, self.memory_size)), room_for(1)))

@@ -27,19 +27,19 @@ few unknowns; the first ones are as short as a sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from baselines.estimation.observer import AHEAD, DISTURBANCE, ObserverDesign, observer_design
 from baselines.models.actuator import dead_time
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.models.ramps import move_of
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
-from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, ObserverController
+from baselines.optimal.observer_feedback import ADDED, ObserverController
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weights, softened_sine, write_tip_errors
@@ -175,14 +175,10 @@ def plan(ahead: Horizon, move: MoveShape, time: float, state: Floats, friction: 
     minimise(problem, ahead.change_weight, first, torques)
 
 
-@dataclass(frozen=True)
-class MpcGains(PreviewGains):
-    """Weights of the predicted cost, noise of the filter and friction compensation, as in preview."""
-
-
 class MpcDesign(NamedTuple):
     """What the law for one arm knows."""
 
+    observer: ObserverDesign
     ahead: Horizon
     lead: float  # T [s]
     opposing: float  # friction that the plan leaves room for [N m]
@@ -203,10 +199,10 @@ def _torque(design: MpcDesign, now: Sample, begins: bool, row: Floats) -> float:
 class MpcController(ObserverController):
     """Model predictive control on encoder observations."""
 
-    gains_type = MpcGains
+    gains_type = PreviewGains
     feedback_law = staticmethod(_torque)
 
     def _known(self) -> MpcDesign:
         p, g = self.params, self.gains
-        opposing = g.friction_share * p.coulomb_friction
-        return MpcDesign(horizon(p, g.weights()), dead_time(p), opposing, g.compensation(p))
+        observer, opposing = observer_design(p, g.noise()), g.friction_share * p.coulomb_friction
+        return MpcDesign(observer, horizon(p, g.weights()), dead_time(p), opposing, g.compensation(p))

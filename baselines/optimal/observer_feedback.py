@@ -1,79 +1,52 @@
-"""Base of controllers that feed back what the stick-slip observer estimates: one law for one arm.
-
-The observer simulates its model for many arms side by side, which takes less than half the time.
-"""
+"""Base of controllers that feed back what the stick-slip observer estimates: one law for one arm."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
-from baselines.controller import ClassicalController, run_law
-from baselines.estimation.observer import Estimate, StickSlipObserver, Track
-from baselines.planning.plan import Plans
+from baselines.controller import TunedController, run_law
+from baselines.estimation.observer import ESTIMATE_SIZE, Correction, Measured, correct, observe
 from baselines.reading import Reading
-from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.simulation import ArmSimulation
 
-AHEAD, DISTURBANCE, ADDED, OWN = slice(4), 4, 5, 6
-"""Entries of a law's row: what is estimated, x when the command acts and d [N m]; torque beside the feedback's at the
-last sample [N m]; and from `OWN` on what the law keeps besides."""
-
-
-class ObservedArm(NamedTuple):
-    """Memory of observer and law of one arm, written in place."""
-
-    track: Track
-    row: Floats  # of the law
+ADDED, OWN = ESTIMATE_SIZE, ESTIMATE_SIZE + 1
+"""Entries of a law's memory after the estimate: torque beside the feedback's at the last sample [N m]; and from `OWN`
+on what the law keeps besides."""
 
 
-@dataclass(frozen=True)
-class ObserverMemory:
-    """Estimates of n arms, the memory of their laws, and their plans."""
+class ObserverController(TunedController[Any]):
+    """Base of controllers with an observer; a subclass names its `feedback_law`, and knows the design of `observer`."""
 
-    estimate: Estimate
-    rows: Floats  # shape (n, size)
-    plans: Plans | None  # of a controller that plans
-
-
-class ObserverController(ClassicalController[ObserverMemory]):
-    """Base of controllers with an observer; a subclass names its `gains_type` and `feedback_law`, and writes `_known`.
-
-    Args:
-        gains: Of this type; those before tuning if not given.
-        params: The design model.
-    """
-
-    gains_type: ClassVar[type[Any]]
     feedback_law: ClassVar[Callable[..., float]]
-    """See `LawKernel.law`; its memory is a row, of which only the estimates count where an episode begins."""
-    observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
-    row_size: ClassVar[int] = OWN
+    """See `LawKernel.law`; of its memory only the estimate counts where an episode begins."""
+    correction: ClassVar[Correction] = staticmethod(correct)
+    memory_size: ClassVar[int] = OWN
+    _simulation: ArmSimulation | None = None  # of as many arms as there were so far
 
-    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains: Any = gains or self.gains_type()
-        self._observer = self.observer(self.params, self.gains.noise())
-        self._design = self._known()
-
-    @abstractmethod
-    def _known(self) -> Any:
-        """What the law knows: a named tuple of numbers and arrays."""
-
-    def law(self, reading: Reading, begins: Flags, memory: ObserverMemory | None) -> tuple[Floats, ObserverMemory]:
+    def law(self, reading: Reading, begins: Flags, memory: Any) -> tuple[Floats, Any]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        count, torques = len(begins), np.empty(len(begins))
-        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        rows = memory.rows.copy() if memory else np.zeros((count, self.row_size))
-        plans = self._planned(memory.plans if memory else None, reading, begins, rows)
-        rows[:, AHEAD], rows[:, DISTURBANCE] = estimate.ahead, estimate.disturbance
-        run_law(type(self).feedback_law, self._design, reading, begins, rows, torques)
-        return torques, ObserverMemory(estimate, rows, plans)
+        rows = self._observed(reading, begins, memory)
+        return self._torques(reading, begins, rows), rows
 
-    def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans | None:
-        """Plans of n arms; what the laws need of them is written to their rows."""
-        return plans
+    def _observed(self, reading: Reading, begins: Flags, memory: Floats | None) -> Floats:
+        """Copy of the laws' memory, shape (n, memory_size), with the estimates of this sample."""
+        count = len(begins)
+        rows = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
+        if self._simulation is None or len(self._simulation.limits) < count:
+            self._simulation = ArmSimulation(self.params, count)
+        measured = self._measured(reading, begins, rows)
+        observe(type(self).correction, self._design.observer, measured, begins, rows, self._simulation.room)
+        return rows
+
+    def _measured(self, reading: Reading, begins: Flags, rows: Floats) -> Measured:
+        """What the observer reads; what it has to remember of that is written to the laws' memory."""
+        return Measured(reading.motor_angle, reading.last_command)
+
+    def _torques(self, reading: Reading, begins: Flags, rows: Floats) -> Floats:
+        torques = np.empty(len(begins))
+        run_law(type(self).feedback_law, self._design, reading, begins, rows, torques)
+        return torques

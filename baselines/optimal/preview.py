@@ -17,13 +17,21 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.controller import LawKernel
-from baselines.estimation.accelerometer import AccelerometerObserver
-from baselines.estimation.observer import Noise, ObserverDesign, Track, track_arm
+from baselines.estimation.accelerometer import AXES, SPREAD, accelerometer_design, correct_by_both, unfiltered
+from baselines.estimation.observer import (
+    AHEAD,
+    DISTURBANCE,
+    Measured,
+    Noise,
+    ObserverDesign,
+    observe_arm,
+    observer_design,
+)
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArm, linear_arm
 from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, AHEAD, DISTURBANCE, OWN, ObserverController
+from baselines.optimal.observer_feedback import ADDED, OWN, ObserverController
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     Plans,
@@ -38,9 +46,11 @@ from baselines.reading import Reading, Sample
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
+from beltarm_env.kernels.simulate import Room, room_for
 from beltarm_env.task.reference import MoveShape
 
-_LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, OWN + 2 * PLAN_COLUMNS)  # of a law's row
+_END = OWN + 2 * PLAN_COLUMNS
+_LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, _END)  # of the memory: rows of the plan
 
 
 @dataclass(frozen=True)
@@ -91,24 +101,30 @@ def _torque(design: PreviewDesign, now: Sample, begins: bool, row: Floats) -> fl
 
 
 class PlannedArm(NamedTuple):
-    """Memory of observer, plan and law of one arm, written in place."""
+    """Memory of observer, law and plan of one arm, written in place."""
 
-    track: Track
+    rows: Floats  # see `ObservedArm`
+    room: Room
     plan: Floats  # shape (1200, 10)
-    row: Floats  # of the law
 
 
 @compiled
 def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PlannedArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    track, plan, row = memory.track, memory.plan, memory.row
-    track_arm(design.observer, now, begins, track)
+    plan, row = memory.plan, memory.rows[0]
+    observe_arm(design.observer, now, begins, memory.rows, memory.room)
     if begins:
         plan_move(move_of(now), design.observer.row, design.model, design.weights, 0, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
-    row[AHEAD], row[DISTURBANCE] = track.ahead, track.disturbance[0]
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
     return _torque(design, now, begins, row)
+
+
+class PreviewMemory(NamedTuple):
+    """Memory of n arms."""
+
+    rows: Floats  # of their laws, shape (n, size)
+    plans: Plans
 
 
 class PreviewController(ObserverController):
@@ -116,11 +132,11 @@ class PreviewController(ObserverController):
 
     gains_type = PreviewGains
     feedback_law = staticmethod(_torque)
-    row_size = OWN + 2 * PLAN_COLUMNS
+    memory_size = _END
 
     def _known(self) -> PreviewDesign:
         p, g = self.params, self.gains
-        return PreviewDesign(self._observer.design, linear_arm(p), g.weights(), g.compensation(p))
+        return PreviewDesign(observer_design(p, g.noise()), linear_arm(p), g.weights(), g.compensation(p))
 
     def kernel(self) -> LawKernel:
         """The law for one arm, with its observer.
@@ -130,23 +146,39 @@ class PreviewController(ObserverController):
         """
         if self.sensors != "encoder":
             raise TypeError("the law for one arm reads the encoder alone: take the kernel of PreviewController")
-        plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-        return LawKernel(preview_law, self._design, PlannedArm(self._observer.track(), plan, np.zeros(self.row_size)))
+        rows, plan = np.zeros((1, self.memory_size)), np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+        return LawKernel(preview_law, self._design, PlannedArm(rows, room_for(1), plan))
 
-    def _planned(self, plans: Plans | None, reading: Reading, begins: Flags, rows: Floats) -> Plans:
+    def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        design = self._design
+
         def plan(arm: int) -> Floats:
-            made, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
-            move = MoveShape(*reading.move[arm].tolist())
+            made, move = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*reading.move[arm].tolist())
             plan_move(move, design.observer.row, design.model, design.weights, 0, made)
             return made
 
-        plans = replaced(plans, begins, plan)
-        rows[:, OWN:] = rows_at(plans, reading.step + self._design.observer.delay).reshape(len(begins), -1)
-        return plans
+        rows = self._observed(reading, begins, memory.rows if memory else None)
+        plans = replaced(memory.plans if memory else None, begins, plan)
+        rows[:, OWN:_END] = rows_at(plans, reading.step + design.observer.delay).reshape(len(begins), -1)
+        return self._torques(reading, begins, rows), PreviewMemory(rows, plans)
 
 
 class AccelerometerPreviewController(PreviewController):
     """Preview LQG on encoder and accelerometer."""
 
     sensors = "accelerometer"
-    observer = AccelerometerObserver
+    correction = staticmethod(correct_by_both)
+    memory_size = _END + 2 * AXES
+
+    def _known(self) -> PreviewDesign:
+        return super()._known()._replace(observer=accelerometer_design(self.params, self.gains.noise()))
+
+    def _measured(self, reading: Reading, begins: Flags, rows: Floats) -> Measured:
+        assert reading.acceleration is not None
+        before, bias = rows[:, _END : _END + AXES], rows[:, _END + AXES :]
+        before[begins] = bias[begins] = reading.acceleration[begins]
+        acceleration, variance = unfiltered(reading.acceleration, before)
+        acceleration[variance > SPREAD**2] = np.nan
+        before[:] = reading.acceleration
+        return Measured(reading.motor_angle, reading.last_command, acceleration - bias)

@@ -248,7 +248,7 @@ class Design(NamedTuple):
 
     def content(self) -> dict[str, Any]:
         """Return the same as JSON holds it, with the angles at which gains are found."""
-        parts = {"params": asdict(self.params), "weights": self.weights._asdict(), "noise": asdict(self.noise)}
+        parts = {"params": asdict(self.params), "weights": self.weights._asdict(), "noise": self.noise._asdict()}
         return {**parts, "stopped": self.stopped, "angles": ANGLES[_PLACES].tolist()}
 
     def gains(self) -> Floats:

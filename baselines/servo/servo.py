@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
-from baselines.controller import ScalarController
+from baselines.controller import ScalarController, TunedController
 from baselines.models.actuator import dead_time
-from baselines.models.friction import Compensation, FrictionGains
-from beltarm_env import ArmParams
+from baselines.models.friction import Compensation
 from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
 
 
 class ServoDesign(NamedTuple):
@@ -20,20 +20,8 @@ class ServoDesign(NamedTuple):
     gains: Any  # named tuple, see `Gains.numbers`
 
 
-class Servo(ScalarController):
-    """Base of tuned servos; a subclass names its `gains_type`, `arm_law` and `memory_size`.
-
-    Args:
-        gains: Of this type; those before tuning if not given.
-        params: The design model.
-    """
-
-    gains_type: ClassVar[type[FrictionGains]]
-
-    def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
-        self.gains: Any = gains or self.gains_type()
-        self._design = self._known()
+class Servo(TunedController[Floats], ScalarController):
+    """Base of tuned servos; a subclass names its `gains_type`, `arm_law` and `memory_size`."""
 
     def _known(self) -> Any:
         """What the law knows; a law that needs more than its gains has a design of its own around this one."""

@@ -1,8 +1,7 @@
 """Motion of arms without sensors, reference and episodes: for controllers and observers that simulate their arm.
 
-Of one arm, in lane 0 of a block of its own (`load_arm`, `rest_arm`, `advance_arm`, `look_ahead`), and of many side by
-side, as `beltarm_env.simulation` describes: the same steps, and the same numbers. A state has 4 entries, x, or 8 with
-the drive's beside them.
+Many arms are simulated side by side, as `beltarm_env.simulation` describes; one arm is a block of one lane. A state has
+4 entries, x, or 9 with the drive's beside them.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from beltarm_env.kernels.layout import (
     IDEAL,
     LANES,
     REAL,
-    ROWS,
     Rows,
     aligned_zeros,
     empty_blocks,
@@ -47,7 +45,7 @@ DRIVE_STATES = 2 + LATENCY_SAMPLES
 class Room(NamedTuple):
     """What the kernels of a simulation work in; the constants of the arms are in the blocks."""
 
-    blocks: Rows  # shape (blocks, ROWS * LANES); of one arm alone (ROWS * LANES,)
+    blocks: Rows  # shape (blocks, ROWS * LANES)
     work: Rows
     actions: Rows  # shape (LANES,)
 
@@ -55,11 +53,6 @@ class Room(NamedTuple):
 def room_for(count: int) -> Room:
     """Room for n arms, whatever their drives."""
     return Room(empty_blocks(count), aligned_zeros(WORK_ROWS * LANES), aligned_zeros(LANES))
-
-
-def room_for_one() -> Room:
-    """Room for one arm alone."""
-    return room_for(1)._replace(blocks=aligned_zeros(ROWS * LANES))
 
 
 def state_size(table: Floats) -> int:
@@ -117,60 +110,12 @@ def _action(torque: float, limit: float) -> float:
     return min(max(torque / limit, -1.0), 1.0)
 
 
-@compiled
-def advance_arm(room: Room, state: Floats, torque: float, limit: float, model: Model) -> None:
-    """Advance one arm by one control period, in place.
-
-    Args:
-        room: Of this arm alone, which is loaded.
-        state: x (rad, rad/s), and the drive's states [N m] beside it; shape (size,).
-        torque: Commanded for the period [N m]; cut at the limit.
-        limit: Of the torque [N m].
-        model: Whose equations of motion.
-    """
-    block = room.blocks
-    _put(block, 0, state)
-    room.actions[0] = _action(torque, limit)
-    if state.shape[0] > X:
-        advance_block(block, room.work, room.actions, 1, model, REAL)
-    else:
-        advance_block(block, room.work, room.actions, 1, model, IDEAL)
-    _take(block, 0, state)
-
-
 @inlined
 def move_towards(x: Floats, before: Floats, after: Floats, samples: float, k: int) -> None:
     """Move an arm's x on by what of a time ahead [samples] lies in the sample after k, from its states around that."""
     share = min(max(samples - k, 0.0), 1.0)
     for i in range(X):
         x[i] += share * (after[i] - before[i])
-
-
-@compiled
-def look_ahead(
-    room: Room, state: Floats, torque: float, limit: float, samples: float, model: Model, x: Floats, moved: Floats
-) -> None:
-    """Write x of one arm at a time to come, with a command held until then; between samples by a straight line.
-
-    Args:
-        room: Of this arm alone, which is loaded.
-        state: Shape (size,).
-        torque: Command [N m].
-        limit: Of the torque [N m].
-        samples: How far ahead, in control periods.
-        model: Whose equations of motion.
-        x: Shape (4,), written.
-        moved: Room for a state, shape (size,).
-    """
-    before = np.empty(X)
-    moved[:] = state
-    for i in range(X):
-        x[i] = state[i]
-    for k in range(math.ceil(samples)):
-        for i in range(X):
-            before[i] = moved[i]
-        advance_arm(room, moved, torque, limit, model)
-        move_towards(x, before, moved, samples, k)
 
 
 @compiled

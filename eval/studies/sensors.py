@@ -112,8 +112,7 @@ def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
 def _torsion(memory: Any) -> Floats:
     """Estimate of the torsion in a controller's memory [rad], shape (n,)."""
     base: Any = memory.informed if isinstance(memory, ResidualMemory) else memory
-    estimate = base.belief if hasattr(base, "belief") else base.estimate
-    return estimate.state[:, 2]
+    return base.belief.state[:, 2] if hasattr(base, "belief") else base.rows[:, 2]
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:

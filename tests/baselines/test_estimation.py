@@ -15,12 +15,12 @@ from baselines.estimation.accelerometer import SPREAD, acceleration_slopes, stea
 from baselines.estimation.believed_arm import DELAY, GIVING, IDENTIFIED, LOGS, NOMINAL_DEFLECTION, nominal_row
 from baselines.estimation.filter_design import _ARM_DOUBT, _PART_DOUBT, PART
 from baselines.estimation.identification import ArmIdentifier, Belief
-from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
+from baselines.estimation.observer import AHEAD, QUANTUM, Noise, kalman_gains
 from baselines.gains import tuned
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
-from baselines.registry import WITH_ACCELEROMETER
+from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats
@@ -52,10 +52,10 @@ class TestObserver:
         """True states, their estimates, and those for when a command acts: shapes (steps, 4)."""
         env = BeltArmVectorEnv(1, autoreset_mode="Disabled", encoder_counts=encoder_counts)
         observations, _ = env.reset(options={"params": asdict(params), "state": [GEAR * 0.8, 0.0, 0.0, 0.0]})
-        observer, estimate, rows = StickSlipObserver(params), None, []
+        controller, memory, rows = CONTROLLERS["lqg"](params), None, []
         for k in range(steps):
-            estimate = observer.update(estimate, read(observations, params), np.array([k == 0]))
-            rows.append((env.state[0], estimate.state[0], estimate.ahead[0]))
+            _, memory = controller.predict(observations, memory)
+            rows.append((env.state[0], memory[0, :4], memory[0, AHEAD]))
             observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
         return [np.array(part) for part in zip(*rows, strict=True)]
 

@@ -219,7 +219,7 @@ class TestRobust:
         for other in (
             design._replace(params=replace(design.params, payload_mass=0.11)),
             design._replace(weights=design.weights._replace(change=201.0)),
-            design._replace(noise=replace(design.noise, torque=0.011)),
+            design._replace(noise=design.noise._replace(torque=0.011)),
             design._replace(stopped=0.2),
         ):
             np.testing.assert_array_equal(robust.robust_gains(other)[::5], found)

@@ -22,7 +22,7 @@ from baselines import TUNABLE, PaperController, PaperGains, gains
 from baselines.engines.parallel import Channel
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.loops.condition import MarginCondition
-from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.servo.paper import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning import search as race
 from baselines.tuning.search import RUNGS, SearchProgress, Terms, open_search, search, split_budget
