@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 
 from agents.policy.network import Network, NetworkPolicy, evaluate
 from agents.residual.controller import ResidualController
-from agents.residual.knowledge import (
-    RECENT,
-    ExtraEntries,
-    offered,
-    push_unexplained,
-    write_belief,
-    write_torque,
-)
+from agents.residual.knowledge import RECENT, ExtraEntries, offered, push_unexplained, write_belief, write_torque
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.reading import Sample
 from beltarm_env.arrays import Floats, Singles

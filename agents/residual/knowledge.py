@@ -195,11 +195,7 @@ class InformedBase:
         )
 
     def advance(
-        self,
-        observation: Singles,
-        memory: InformedMemory | None,
-        start: Flags | None,
-        known: Belief | None = None,
+        self, observation: Singles, memory: InformedMemory | None, start: Flags | None, known: Belief | None = None
     ) -> InformedMemory:
         """Run base and identification for one sample.
 

@@ -62,10 +62,7 @@ class _Process:
         self._connection, theirs = Pipe()
         begin = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve({theirs.fileno()})"
         self._child = subprocess.Popen(
-            [sys.executable, "-c", begin],
-            stdin=subprocess.DEVNULL,
-            pass_fds=[theirs.fileno()],
-            start_new_session=True,
+            [sys.executable, "-c", begin], stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], start_new_session=True
         )
         theirs.close()
         atexit.register(self.end)

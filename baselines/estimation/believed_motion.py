@@ -22,15 +22,7 @@ from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import REAL_WORK_ROWS, advance_real_block
 from beltarm_env.kernels.drives import begin_friction, begin_lag
-from beltarm_env.kernels.layout import (
-    LANES,
-    Rows,
-    load_drive,
-    load_plant,
-    load_state,
-    store_drive,
-    store_plant,
-)
+from beltarm_env.kernels.layout import LANES, Rows, load_drive, load_plant, load_state, store_drive, store_plant
 from beltarm_env.physics.drive import drive_of
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
 from beltarm_env.physics.models import LUMPED

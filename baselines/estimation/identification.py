@@ -13,6 +13,7 @@ the commands given before: `estimate`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -273,8 +274,7 @@ class ArmIdentifier:
             assert reading.acceleration is not None, "decoded with the acceleration, see `sensors`"
             seen = unfiltered(reading.acceleration, belief.acceleration if belief else reading.acceleration)
             inputs = inputs._replace(acceleration=seen[0], acceleration_variance=seen[1])
-        rooms, taken = self._shared(count)
-        in_threads(_identify_all, len(taken), self.design, inputs, belief or result, result, taken, rooms)
+        self._run(_identify_all, count, inputs, belief or result, result)
         return result._replace(acceleration=reading.acceleration) if self._axes else result
 
     def reset(self, belief: Belief, reading: Reading, begins: Flags) -> Belief:
@@ -289,13 +289,14 @@ class ArmIdentifier:
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
         result = empty_estimate(len(belief.counts))
-        rooms, taken = self._shared(len(belief.counts))
-        in_threads(_estimate_all, len(taken), self.design, belief, result, taken, rooms)
+        self._run(_estimate_all, len(belief.counts), belief, result)
         return result
 
-    def _shared(self, count: int) -> tuple[Room, Integers]:
-        """Return room for the threads that work for a number of arms, and what they have taken: nothing."""
+    def _run(self, kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+        """Run a kernel for a number of arms, in threads that each have a room."""
         threads = usual_threads(count // ARMS)
-        if self._rooms is None or len(self._rooms.resolution) < threads:
-            self._rooms = room_for(ARMS, self._axes > 0, (threads,))
-        return self._rooms, none_taken(threads)
+        rooms, self._rooms = self._rooms, None  # while they are in use: another thread of Python makes its own
+        if rooms is None or len(rooms.resolution) < threads:
+            rooms = room_for(ARMS, self._axes > 0, (threads,))
+        in_threads(kernel, threads, self.design, *arguments, none_taken(threads), rooms)
+        self._rooms = rooms

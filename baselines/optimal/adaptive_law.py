@@ -13,14 +13,7 @@ import numpy as np
 
 from baselines.estimation.believed_arm import LOGS, SIZE, other_torque
 from baselines.estimation.filter_design import Design, Inputs, Room, empty_inputs, room_for, write_inputs
-from baselines.estimation.identification import (
-    Belief,
-    Estimate,
-    empty_belief,
-    empty_estimate,
-    estimate,
-    identify,
-)
+from baselines.estimation.identification import Belief, Estimate, empty_belief, empty_estimate, estimate, identify
 from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
 from baselines.models.ramps import move_of

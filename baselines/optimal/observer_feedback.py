@@ -36,10 +36,12 @@ class ObserverController(TunedController[Any]):
         """Copy of the laws' memory, shape (n, memory_size), with the estimates of this sample."""
         count = len(begins)
         rows = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
-        if self._simulation is None or len(self._simulation.limits) < count:
-            self._simulation = ArmSimulation(self.params, count)
+        simulation, self._simulation = self._simulation, None  # while it is in use: another thread makes its own
+        if simulation is None or len(simulation.limits) < count:
+            simulation = ArmSimulation(self.params, count)
         measured = self._measured(reading, begins, rows)
-        observe(type(self).correction, self._design.observer, measured, begins, rows, self._simulation.room)
+        observe(type(self).correction, self._design.observer, measured, begins, rows, simulation.room)
+        self._simulation = simulation
         return rows
 
     def _measured(self, reading: Reading, begins: Flags, rows: Floats) -> Measured:

@@ -96,10 +96,7 @@ def next_torsion(
     envelope = exponential(-decay * CONTROL_PERIOD)
     sine, cosine = sine_cosine(frequency * CONTROL_PERIOD)
     cosine, sine = envelope * cosine, envelope * sine / frequency
-    return (
-        torsion * (cosine + decay * sine) + rate * sine,
-        rate * (cosine - decay * sine) - torsion * square * sine,
-    )
+    return (torsion * (cosine + decay * sine) + rate * sine, rate * (cosine - decay * sine) - torsion * square * sine)
 
 
 @inlined

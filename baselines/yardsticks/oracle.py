@@ -64,11 +64,7 @@ class Replay:
         self._actions = actions
 
     def predict(
-        self,
-        observation: Singles,
-        state: object = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: object = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, None]:
         """Actions of the current step; see `Controller`."""
         step = read(observation, ArmParams()).step

@@ -1,6 +1,7 @@
 """Episodes for the tests: torques, everything that an episode returns, and arms of a batch beside arms alone."""
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import gymnasium as gym
@@ -90,8 +91,11 @@ def torques_of(controller: Any, first: int, count: int, steps: int = 160, **sett
 
 
 def assert_same_in_batches(make: Callable[[], Any], first: int, **settings: Any) -> None:
-    """Assert that controllers drive an arm the same way alone, in a batch of 24, and in one of 140: two blocks."""
+    """Assert that an arm is driven the same way alone, in a batch of 24, twice at the same time, and in two blocks."""
     many = torques_of(make(), first, 140, **settings)
     assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
-    np.testing.assert_array_equal(torques_of(make(), first, 24, **settings), many[:, :24])
+    with ThreadPoolExecutor(2) as pool:
+        shared = [pool.submit(torques_of, each, first, 24, **settings) for each in 2 * [make()]]
+    for torques in shared:
+        np.testing.assert_array_equal(torques.result(), many[:, :24])
     np.testing.assert_array_equal(torques_of(make(), first + 17, 1, **settings), many[:, 17:18])

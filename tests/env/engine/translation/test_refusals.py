@@ -70,11 +70,7 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("has to be known",), (3,), "work = np.zeros(a + HUGE // HUGE); return work[0]"),
     (("kind changes its type",), (ROW, 1.0), "kind = b; if b > 0.0:;     kind = a #; return kind"),
     (("keeps an array",), (3,), "made = np.zeros(2); for _ in range(a):;     made = np.zeros(2) #; return made[0]"),
-    (
-        ("loop allocates",),
-        (ROW, 3),
-        f"last = {FRESH}; for k in range(b):;     new = {FRESH};     last = new; return 1",
-    ),
+    (("loop allocates",), (ROW, 3), f"last = {FRESH}; for k in range(b):;     new = {FRESH};     last = new; return 1"),
     (("made must be written into an array",), (ROW,), "made = 2.0 * a #; return made[0]"),
     (("one shape", "(3,)", "(2,)"), (ROW,), "a[:2] = a + a[:2] #"),
     (("shape (2,)", "(3,)"), (ROW,), "a[:2] = a #"),
