@@ -45,7 +45,11 @@ class Finding:
     passed: bool
     detail: str = ""
     trace: str = ""  # of a failed one: the whole traceback
-    late: bool = False  # it passed, but does not act within the control period
+
+    @property
+    def late(self) -> bool:
+        """Whether it passed, but does not act within the control period."""
+        return self.passed and self.detail.endswith(_LATE)
 
 
 class Session(NamedTuple):
@@ -103,6 +107,10 @@ def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
     return f"within {difference.max():.1g} of the limit, not bit for bit"
 
 
+def _repeats(make: Callable[[], Controller], known: Session) -> str:
+    return _same(replayed(make(), known.observations, known.starts), known.actions)
+
+
 def _alone(make: Callable[[], Controller], known: Session) -> str:
     arms = [slice(k, k + 1) for k in range(_ARMS)]
     alone = [replayed(make(), known.observations[:, arm], known.starts[:, arm]) for arm in arms]
@@ -140,9 +148,7 @@ def _in_time(make: Callable[[], Controller], _: Session) -> str:
 
 
 _CHECKS = {
-    "the same observations give the same torques": lambda make, known: _same(
-        replayed(make(), known.observations, known.starts), known.actions
-    ),
+    "the same observations give the same torques": _repeats,
     "an arm of a batch is driven as if alone": _alone,
     "an episode begins without memory of the last": _afresh,
     "all memory is in the state that is returned": _in_the_state,
@@ -161,8 +167,7 @@ def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
     yield Finding(first, True, f"{_STEPS} samples")
     for name, check in _CHECKS.items():
         try:
-            said = check(make, known)
-            yield Finding(name, True, said, late=said.endswith(_LATE))
+            yield Finding(name, True, check(make, known))
         except (Exception, SystemExit) as error:
             yield _failed(name, error)
 

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.markup import escape
 
@@ -57,7 +57,7 @@ _INTERVALS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 _MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
 _ACROSS = 3  # splits side by side
 _ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
-_DECADES = 5.0  # from which ratio on an axis has two or more of the marks 1, 2, 5
+_FEW_MARKS = 5.0  # ratio of an axis' ends up to which it may have but one of the marks 1, 2, 5
 _DRAWN = 1000.0  # cost up to which a method has bars; others would hide all differences
 
 
@@ -146,7 +146,7 @@ def _answer(results: Results, note: str) -> Figure:
     """Draw the time until still and the cost on the main split as bars with their intervals, the best method on top."""
     every = list(reversed(results.on(results.main)))
     rows = [row for row in every if estimate(row, "cost").iqm < _DRAWN] or every
-    left_out = [row["method"] for row in results.on(results.main) if row not in rows]
+    left_out = [row["method"] for row in reversed(every) if row not in rows]
     dear = f"; not drawn, for costs above {_DRAWN:.0f}: {', '.join(left_out)}" if left_out else ""
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 0.9 + 0.3 * len(rows)), layout="constrained", sharey=True)
     for axis, name, scale, title in zip(axes, ("still_s", "cost"), (1000, 1), _ANSWERS, strict=True):
@@ -197,13 +197,10 @@ def _draw_intervals(axis: Axes, ranking: list[Record], name: str) -> None:
     if unranked := sum(record["kind"] == "privileged" for record in ranking):
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
     axis.set_xscale("log")
+    mark_one_two_five(axis.xaxis)
     low, high = axis.get_xlim()
-    if high > _DECADES * low:
-        mark_one_two_five(axis.xaxis)
-    else:
+    if high < _FEW_MARKS * low:
         axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_ylim(-0.7, len(ranking) - 0.3)
     axis.grid(axis="x", which="both", alpha=0.3)
     axis.tick_params(labelsize=8)

@@ -98,16 +98,17 @@ def to_terminal(table: Table, columns: int) -> TerminalTable:
     widths = [max(*map(len, head), *lengths) for head, lengths in zip(heads, texts, strict=True)]
     room = columns - 1 - _LEAST_NAME_WIDTH
     fitting = max(sum(used <= room for used in accumulate(width + 2 for width in widths)), 1)
-    left = columns - 1 - sum(width + 2 for width in (0, *widths[:fitting]))
+    heads, widths = heads[:fitting], widths[:fitting]
+    left = columns - 1 - sum(width + 2 for width in (0, *widths))
     shown.add_column("method", no_wrap=True, max_width=min(max(left, _LEAST_NAME_WIDTH), _NAME_WIDTH))
-    for head, width in [*zip(heads, widths, strict=True)][:fitting]:
+    for head, width in zip(heads, widths, strict=True):
         shown.add_column("\n".join(head), justify="right", no_wrap=True, min_width=width)
-    if fitting < len(heads):
-        missing = ", ".join(table.columns[fitting:])
+    if missing := ", ".join(table.columns[fitting:]):
         shown.caption, shown.caption_justify = f"Not shown, for the terminal is too narrow: {missing}.", "left"
     for row in table.rows:
-        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(row.cells)][:fitting]
-        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, row.cells, strict=False)]
+        shown_cells = row.cells[:fitting]
+        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(shown_cells)]
+        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, shown_cells, strict=True)]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
     return shown
 

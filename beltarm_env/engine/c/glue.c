@@ -107,12 +107,6 @@ static bool attempt(const Variant *v, const Call *bound, PyObject *const *argume
     return failed == DONE;
 }
 
-static PyObject *nothing(void)
-{
-    Py_IncRef(Py_None);
-    return Py_None;
-}
-
 /* Tell whether a kernel has its parts: the garbage collector may have taken them. If not, there is an error. */
 static bool is_whole_kernel(const Kernel *k)
 {
@@ -327,9 +321,11 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
 }
 
 static PyMethodDef kernel_methods[] = {
-    {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these; returns its number"},
+    {"add", kernel_add, METH_VARARGS,
+     "Add a variant: address, spec, constants, results, and a function of these; returns its number"},
     {"call", (PyCFunction)(void (*)(void))kernel_call, METH_FASTCALL, "Call the variant that takes the arguments"},
-    {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads, whose number comes first; False without a variant for it"},
+    {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL,
+     "Call in threads, whose number comes first; False without a variant for it"},
     {"bind", kernel_bind, METH_VARARGS, "Return what calls one variant, of a number, behind a tuple of arguments"},
     {NULL, NULL, 0, NULL},
 };

@@ -206,7 +206,7 @@ static bool set_up(Variant *v, const char *spec, const char *returns)
         return false;
     }
     char *keys = strchr(v->returns, '{');
-    if (keys) memmove(keys + 1, strchr(keys, ':') + 1, strlen(strchr(keys, ':'))); /* from now on each result is one letter */
+    if (keys) memmove(keys + 1, strchr(keys, ':') + 1, strlen(strchr(keys, ':'))); /* from now on a result is one letter */
     v->allocates = strchr(v->returns, 'A') != NULL;
     v->room = sizeof(double) * (size_t)(v->reals + v->wholes + v->slots) +
               (sizeof(Py_buffer) + sizeof(void *)) * (size_t)v->arrays + sizeof(PyObject *) * (size_t)v->count;
