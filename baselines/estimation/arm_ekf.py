@@ -195,7 +195,7 @@ def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: boo
     """Write what deviations of torque and torsional acceleration do to x and to the readings, shape (2, rows)."""
     doubtful = design.doubtful / (1 + (predicted[1, 0] / design.slow) ** 2)
     torque = (design.torque + doubtful) * max(surprise, 1.0) * (design.sticking if sticks else 1.0)
-    row, weight = place(predicted[0, 0] / design.nominal[COLUMN.gear_ratio])
+    row, weight = place(predicted[0, 0] / design.nominal.row[COLUMN.gear_ratio])
     for i in range(4):
         by_torque = between(design.by_noise[row, 0, i], design.by_noise[row + 1, 0, i], weight)
         by_acceleration = between(design.by_noise[row, 1, i], design.by_noise[row + 1, 1, i], weight)

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
+from beltarm_env.physics.models import Model
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sin_cos, wrapped
 from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
@@ -100,6 +101,13 @@ def nominal_row(params: ArmParams) -> Floats:
         row[FIELDS.index(name)] = 0.0
     row[COLUMN.presliding_deflection] = NOMINAL_DEFLECTION
     return row
+
+
+class Nominal(NamedTuple):
+    """Arm that is believed in before anything is measured."""
+
+    row: Floats  # from `nominal_row`
+    model: Model  # whose equations of motion it obeys, identified or not
 
 
 Constants = namedtuple("Constants", FIELDS)

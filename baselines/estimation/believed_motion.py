@@ -14,7 +14,7 @@ import numpy as np
 
 from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import mean_acceleration
-from baselines.estimation.believed_arm import believe, believe_entry, constants_of, take, write_ripple
+from baselines.estimation.believed_arm import Nominal, believe, believe_entry, constants_of, take, write_ripple
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
@@ -25,7 +25,7 @@ from beltarm_env.kernels.drives import begin_friction, begin_lag
 from beltarm_env.kernels.layout import LANES, Rows, load_drive, load_plant, load_state, store_drive, store_plant
 from beltarm_env.physics.drive import drive_of
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
-from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.models import Model
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.physics.trigonometry import exponential
 
@@ -66,7 +66,7 @@ def simulation_room(size: int, threads: tuple[int, ...] = ()) -> Simulation:
 
 
 @compiled
-def _load_coefficients(block: Floats, arms: int, constants: Floats) -> None:
+def _load_coefficients(block: Floats, arms: int, constants: Floats, model: Model) -> None:
     """Put what follows from constants, but delay and lag, into lanes."""
     for lane in range(arms):
         row = constants_of(constants, lane)
@@ -74,7 +74,7 @@ def _load_coefficients(block: Floats, arms: int, constants: Floats) -> None:
         store_plant(block, lane, plant)
         store_drive(block, lane, drive_of(row))
         begin_friction(block, lane, row)
-        block[at.SUBSTEPS * LANES + lane] = integration_substeps(plant, LUMPED)
+        block[at.SUBSTEPS * LANES + lane] = integration_substeps(plant, model)
 
 
 @compiled
@@ -125,25 +125,25 @@ def load_torques(block: Floats, arms: int, z: Floats, ripple: Floats, actions: F
 
 
 @compiled
-def load(beliefs: Floats, nominal: Floats, deflections: Floats, room: Simulation) -> None:
+def load(beliefs: Floats, nominal: Nominal, deflections: Floats, room: Simulation) -> None:
     """Load arms as they are believed in, all but their commands.
 
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
-        nominal: From `nominal_row`.
+        nominal: Arm believed in before anything is measured.
         deflections: See `Belief`.
         room: Changed.
     """
     arms = len(beliefs)
     take(beliefs, room.z)
-    believe(room.z, arms, nominal, room.constants)
+    believe(room.z, arms, nominal.row, room.constants)
     for lane in range(arms):
         room.loaded[at.DRIVEN * LANES + lane] = 1.0
         room.loaded[at.STEP * LANES + lane] = 0.0
         room.loaded[at.DEFLECTION * LANES + lane] = deflections[lane]
         for i in range(4):
             room.loaded[(at.STATE + i) * LANES + lane] = room.z[i * LANES + lane]
-    _load_coefficients(room.loaded, arms, room.constants)
+    _load_coefficients(room.loaded, arms, room.constants, nominal.model)
     _load_delays(room.loaded, arms, room.constants)
 
 
@@ -157,7 +157,7 @@ def _copy(source: Floats, target: Floats, arms: int, begin: int, end: int) -> No
 
 @compiled
 def load_copy(
-    k: int, block: Floats, actions: Floats, beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation
+    k: int, block: Floats, actions: Floats, beliefs: Floats, nominal: Nominal, commands: Floats, room: Simulation
 ) -> None:
     """Put copies of loaded arms into the first lanes of a block, and the actions of these lanes into theirs.
 
@@ -179,12 +179,12 @@ def load_copy(
         ripple = room.other_ripple
     if k > z_at.LOGS.start and entry != z_at.DISTURBANCE:
         _copy(room.constants, room.perturbed, arms, 0, len(FIELDS))
-        believe_entry(z, entry, arms, nominal, room.perturbed)
+        believe_entry(z, entry, arms, nominal.row, room.perturbed)
         if entry == z_at.DELAY or entry == z_at.LAG:
             _load_delays(block, arms, room.perturbed)
             load_commands(block, commands, 0)
         else:
-            _load_coefficients(block, arms, room.perturbed)
+            _load_coefficients(block, arms, room.perturbed, nominal.model)
     load_torques(block, arms, z, ripple, actions)
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] = beliefs[lane, entry]
@@ -199,13 +199,13 @@ def write_table(constants: Floats, table: Floats) -> None:
 
 
 @compiled
-def move_on(commands: Floats, held: int, room: Simulation) -> None:
+def move_on(commands: Floats, held: int, model: Model, room: Simulation) -> None:
     """Move loaded arms by one period, their last command having been held for some samples; x is in `room.loaded`."""
     arms = len(commands)
     load_commands(room.loaded, commands, held)
     write_ripple(room.loaded, room.z, arms, room.shapes, room.ripple)
     load_torques(room.loaded, arms, room.z, room.ripple, room.actions)
-    advance_real_block(room.loaded, room.work, room.actions, arms, LUMPED)
+    advance_real_block(room.loaded, room.work, room.actions, arms, model)
 
 
 @inlined
@@ -218,13 +218,13 @@ def _put_acceleration(block: Floats, lane: int, velocities: Floats, result: Floa
 
 @compiled
 def simulate(
-    beliefs: Floats, nominal: Floats, commands: Floats, deflections: Floats, room: Simulation, result: Floats
+    beliefs: Floats, nominal: Nominal, commands: Floats, deflections: Floats, room: Simulation, result: Floats
 ) -> None:
     """Simulate one period from z, and from copies with one of its first entries perturbed by its step in each.
 
     Args:
         beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
-        nominal: From `nominal_row`.
+        nominal: Arm believed in before anything is measured.
         commands: Of the past, see `Belief`.
         deflections: See `Belief`; changed to those after the period.
         room: Changed; holds the shapes of the arms' ripple then.
@@ -247,7 +247,7 @@ def simulate(
         for lane in range((end - begin) * arms if accelerometer else 0):
             tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
             room.velocities[lane], room.velocities[LANES + lane] = tip.x_speed, tip.y_speed
-        advance_real_block(block, room.work, room.actions, (end - begin) * arms, LUMPED)
+        advance_real_block(block, room.work, room.actions, (end - begin) * arms, nominal.model)
         for k in range(begin, end):
             for arm in range(arms):
                 lane = (k - begin) * arms + arm

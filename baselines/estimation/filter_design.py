@@ -9,7 +9,7 @@ import numpy as np
 
 from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import AXES
-from baselines.estimation.believed_arm import nominal_row
+from baselines.estimation.believed_arm import Nominal, nominal_row
 from baselines.estimation.believed_motion import Simulation, simulation_room
 from baselines.models.linear import linear_arm_of
 from baselines.reading import Reading, Sample
@@ -17,6 +17,7 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled, inlined
+from beltarm_env.physics.models import LUMPED, Model
 from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
 PART = 0.2
@@ -124,7 +125,7 @@ def write_inputs(now: Sample, begins: bool, inputs: Inputs) -> None:
 class Design(NamedTuple):
     """What a filter is made of, from the nominal arm and `Uncertainty`."""
 
-    nominal: Floats  # from `nominal_row`
+    nominal: Nominal  # arm believed in before anything is measured
     by_noise: Floats  # of x by a torque and by a torsional acceleration, at each of ANGLES, shape (46, 2, 4)
     growth: Floats  # variance that each entry gains in a sample, shape (ACCELEROMETER_SIZE,)
     mean: Floats  # z of an arm that begins, but for its angle, shape (SIZE or ACCELEROMETER_SIZE,)
@@ -172,17 +173,22 @@ def room_of(rooms: Room, thread: int) -> Room:
     return Room(simulation, *(part[thread] for part in rooms[1:]))
 
 
-def filter_design(params: ArmParams, uncertainty: Uncertainty, accelerometer: bool = False) -> Design:
-    """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`."""
+def filter_design(
+    params: ArmParams, uncertainty: Uncertainty, accelerometer: bool = False, model: Model = LUMPED
+) -> Design:
+    """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`.
+
+    `model` is whose equations of motion it takes them to obey.
+    """
     nominal = nominal_row(params)
-    arm = linear_arm_of(nominal)
+    arm = linear_arm_of(nominal, model)
     size = z_at.ACCELEROMETER_SIZE if accelerometer else z_at.SIZE
     mean = np.zeros(size)
     mean[z_at.LAG] = max(params.current_loop_time_constant / CONTROL_PERIOD, z_at.SHORTEST)
     mean[z_at.DELAY] = mean[z_at.LAG] + params.command_latency / CONTROL_PERIOD
     swing, per_mass = float(nominal[COLUMN.arm_inertia_swing]), 4 * params.link_length**2
     return Design(
-        nominal=nominal,
+        nominal=Nominal(nominal, model),
         by_noise=np.stack([arm.by_torque, arm.by_acceleration], axis=1),
         growth=uncertainty.growth(),
         mean=mean,

@@ -43,6 +43,7 @@ from beltarm_env.engine.blocks import none_taken, take_block, usual_threads
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.friction import mode_of_giving
+from beltarm_env.physics.models import MODELS
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -139,7 +140,7 @@ def _note(design: Design, inputs: Inputs, belief: Belief, room: Room) -> bool:
 def identify(design: Design, inputs: Inputs, belief: Belief, room: Room) -> None:
     """Bring the belief about up to `ARMS` arms up to this sample; about those that begin, it may be anything before."""
     if _note(design, inputs, belief, room):
-        rubs = design.nominal[COLUMN.coulomb_friction] > 0.0
+        rubs = design.nominal.row[COLUMN.coulomb_friction] > 0.0
         simulate(
             belief.tracks.mean, design.nominal, belief.commands, belief.deflection, room.simulation, room.predicted
         )
@@ -209,7 +210,7 @@ def estimate(design: Design, belief: Belief, room: Simulation, result: Estimate)
         for arm in range(len(mean)):
             if k == int(result.delay[arm]):
                 result.direction[arm] = mode_of_giving(room.loaded[at.DEFLECTION * LANES + arm])
-        move_on(belief.commands, k + 1, room)
+        move_on(belief.commands, k + 1, design.nominal.model, room)
         for arm in range(len(mean)):
             whole = int(result.delay[arm])
             part = result.delay[arm] - whole
@@ -249,12 +250,19 @@ class ArmIdentifier:
         params: The nominal arm.
         uncertainty: What is doubted.
         accelerometer: Whether there is an accelerometer on the arm's end, whose readings are used.
+        model: Whose equations of motion the arms are taken to obey, "lumped" or "lagrangian".
     """
 
-    def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None, accelerometer: bool = False) -> None:
+    def __init__(
+        self,
+        params: ArmParams,
+        uncertainty: Uncertainty | None = None,
+        accelerometer: bool = False,
+        model: str = "lumped",
+    ) -> None:
         self.params = params
         self.uncertainty = uncertainty or Uncertainty()
-        self.design = filter_design(params, self.uncertainty, accelerometer)
+        self.design = filter_design(params, self.uncertainty, accelerometer, MODELS[model])
         self._axes = AXES if accelerometer else 0
         self._rooms: Room | None = None  # of the threads so far
 

@@ -11,6 +11,7 @@ from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.linear import write_sampled_models
+from beltarm_env.physics.models import LUMPED, Model
 from beltarm_env.physics.trigonometry import sine_cosine
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
@@ -39,18 +40,16 @@ def empty_linear_arm() -> LinearArm:
 
 
 @compiled
-def write_linear_arm(row: Any, arm: LinearArm) -> None:
+def write_linear_arm(row: Any, model: Model, arm: LinearArm) -> None:
     """Write linear models, the belt with its mean stiffness, of an arm with a row of constants, as `ArmParams`."""
-    plant = plant_of(row)
-    write_sampled_models(
-        plant, plant.stiffness, ANGLES, CONTROL_PERIOD, arm.transition, arm.by_torque, arm.by_acceleration
-    )
+    plant, (a, b, e) = plant_of(row), arm
+    write_sampled_models(plant, plant.stiffness, ANGLES, CONTROL_PERIOD, a, b, e, model)
 
 
-def linear_arm_of(row: Floats) -> LinearArm:
-    """Linear models of an arm with a row of constants, as the fields of `ArmParams`."""
+def linear_arm_of(row: Floats, model: Model = LUMPED) -> LinearArm:
+    """Linear models of an arm with a row of constants, as the fields of `ArmParams`, by equations of motion."""
     arm = empty_linear_arm()
-    write_linear_arm(row, arm)
+    write_linear_arm(row, model, arm)
     return arm
 
 

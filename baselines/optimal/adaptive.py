@@ -83,6 +83,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         uncertainty: What the identification doubts; by default what the gains say.
         improvements: Steps by which the first plan is improved for the task's own cost, and the most of those of plans
             around the reference's end; 0 leaves all to the squares.
+        model: Whose equations of motion filter and plan rely on, "lumped" or "lagrangian".
     """
 
     gains_type = AdaptiveGains
@@ -94,13 +95,14 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         params: ArmParams | None = None,
         uncertainty: Uncertainty | None = None,
         improvements: int = STEPS,
+        model: str = "lumped",
     ) -> None:
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
         self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
         self.uncertainty = uncertainty or self.gains.uncertainty()
-        self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
+        self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer", model)
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
@@ -134,7 +136,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         belief = self._identified(reading, begins, memory.belief if memory else None)
         found = self._identifier.estimate(belief)
         time, torques = reading.step + found.delay, np.empty(len(begins))
-        now = Situation(reading.move, reading.step, time, found.states, found.logs, found.table)
+        of_arm = found.states, found.logs, found.table, self._identifier.design.nominal.model
+        now = Situation(reading.move, reading.step, time, *of_arm)
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins | (reading.step == 0), now, self._weights, self._improvements)
         write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)

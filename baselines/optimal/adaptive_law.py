@@ -143,6 +143,7 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
     identify(design.filter, memory.inputs, memory.notes, memory.identification)
     estimate(design.filter, memory.notes, memory.identification.simulation, found)
     if begins or now.step == 0:
+        write_linear_arm(found.table[0], design.filter.nominal.model, memory.planning.model)
         start = Start(0, now.step + found.delay[0], found.states[0], design.improvements)
         plan_task(move_of(now), found.table[0], design.weights, start, memory.planning, memory.plan)
         memory.left[0] = 0
@@ -169,7 +170,7 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
     """
     found, to_go, model = memory.found, memory.to_go, memory.planning.model
     if memory.left[0] <= now.step and is_stale(now.duration, now.step, found.logs[0], memory.logs):
-        write_linear_arm(found.table[0], model)
+        write_linear_arm(found.table[0], design.filter.nominal.model, model)
         memory.row[:] = found.table[0]
         to_go.matrix[:] = 0.0
         to_go.vector[:] = 0.0

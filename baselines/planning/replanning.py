@@ -19,11 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.models.linear import write_linear_arm
 from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, replaced
 from baselines.planning.task_plan import Start, plan_room, plan_task
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.engine import compiled, inlined
+from beltarm_env.physics.models import LUMPED, Model
 from beltarm_env.task.reference import MoveShape
 
 STEPS = 6
@@ -75,12 +77,15 @@ class Situation:
     states: Floats  # x then, shape (n, 4)
     logs: Floats  # of the estimated constants over their nominal values, shape (n, m)
     table: Floats  # constants that plans are made for, columns as `ArmParams`, shape (n, len(FIELDS))
+    model: Model = LUMPED  # whose equations of motion plans rely on
 
     def plan(self, arm: int, weights: Weights, first: int, steps: int) -> Floats:
         """Plan of one arm from a sample on, shape (1200, 10), with `first` or improved by steps after it."""
         rows, move = np.zeros((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*self.moves[arm].tolist())
         start = Start(first, float(self.time[arm]), self.states[arm], steps)
-        plan_task(move, self.table[arm], weights, start, plan_room(), rows)
+        room = plan_room()
+        write_linear_arm(self.table[arm], self.model, room.model)
+        plan_task(move, self.table[arm], weights, start, room, rows)
         return rows
 
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import LinearArm, empty_linear_arm, write_linear_arm
+from baselines.models.linear import LinearArm, empty_linear_arm
 from baselines.planning.norm_optimal import (
     Prices,
     Sample,
@@ -210,8 +210,7 @@ def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> int:
 
 @compiled
 def plan_task(move: MoveShape, row: Floats, weights: Weights, start: Start, room: PlanRoom, rows: Floats) -> None:
-    """Plan a move for squares and refine the plan; `room.model` is that of the arm then."""
-    write_linear_arm(row, room.model)
+    """Plan a move for squares and refine the plan, with the linear models of the arm in `room.model`."""
     problem = problem_of(move, row, room.model, weights)
     plan_backwards(problem, no_cost(5), start.first, len(rows), rows)
     refine(problem, start, room.steps, rows)

@@ -45,6 +45,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         *arms: The true constants in each move of an episode, one for each row of the observations, with one gear ratio
             and torque limit. The last ones hold in all further moves.
         gains: Those of `adaptive`: its tuned ones if not given, so that what not knowing the arm costs is seen.
+        model: Whose equations of motion the arms obey, "lumped" or "lagrangian".
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.
@@ -52,12 +53,12 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
 
     sensors = "full"
 
-    def __init__(self, *arms: Sequence[ArmParams], gains: AdaptiveGains | None = None) -> None:
+    def __init__(self, *arms: Sequence[ArmParams], gains: AdaptiveGains | None = None, model: str = "lumped") -> None:
         super().__init__(arms[0][0])
         self.gains = gains or tuned("adaptive", AdaptiveGains)
         self._tables = np.array([params_table(in_move) for in_move in arms])
         self._delays = np.array([dead_time(arm) for arm in arms[0]]) / CONTROL_PERIOD
-        self._table, self._simulation = self._tables[0], ArmSimulation(arms[0])
+        self._table, self._simulation = self._tables[0], ArmSimulation(arms[0], model=model)
 
     def law(self, reading: Reading, begins: Flags, memory: PrivilegedMemory | None) -> tuple[Floats, PrivilegedMemory]:
         """Torque [N m] of one sample, see `ClassicalController`.
@@ -78,7 +79,8 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         self._correct(arms, reading)
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
-        now, weights = Situation(reading.move, reading.step, time, ahead, constant, self._table), self.gains.weights()
+        of_arm = ahead, constant, self._table, self._simulation.model
+        now, weights = Situation(reading.move, reading.step, time, *of_arm), self.gains.weights()
         cache = (
             (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, weights).renewed(now, weights)
         )

@@ -22,11 +22,19 @@ _TERMS = 9  # of the exponential's series: at 100 rad/s and 1.5 ms the next one 
 
 @compiled
 def _fill(held: Floats, plant: Plant, stiffness: float, cos_phi: float, model: Model) -> None:
-    """Write A into rows and columns 0 to 3, b into column 4 and a torsional acceleration into column 5."""
+    """Write A into rows and columns 0 to 3, b into column 4, and into column 5 what a torque at the arm does, over M2.
+
+    It accelerates the torsion of the lumped arm by 1 rad/s^2.
+    """
     w11, w12, w22 = inverse_inertia(cos_phi, plant, model)
     g, v, k, d = plant.gear, plant.viscous_friction, stiffness, plant.damping
     by_motor, mutual, by_belt = w11 * g * g, (w11 - w12) * g, w11 - 2 * w12 + w22
-    held[0, 1] = held[2, 3] = held[3, 5] = 1.0
+    held[0, 1] = held[2, 3] = 1.0
+    if model is LUMPED:
+        held[3, 5] = 1.0
+    else:
+        m2 = plant.inertia + plant.inertia_swing * (1 - cos_phi * cos_phi)
+        held[1, 5], held[3, 5] = -g * w12 * m2, (w22 - w12) * m2
     held[1, 1], held[1, 2], held[1, 3], held[1, 4] = -v * by_motor, -k * mutual, -d * mutual, by_motor
     held[3, 1], held[3, 2], held[3, 3], held[3, 4] = -v * mutual, -k * by_belt, -d * by_belt, mutual
 
@@ -77,8 +85,9 @@ def write_sampled_models(
     transition: Floats,
     by_torque: Floats,
     by_acceleration: Floats,
+    model: Model,
 ) -> None:
-    """Write the linear models of one lumped arm from one sample to the next, see `sample_models`.
+    """Write the linear models of one arm from one sample to the next, see `sample_models`.
 
     Args:
         plant: Coefficients of the arm.
@@ -88,11 +97,12 @@ def write_sampled_models(
         transition: A, shape (m, 4, 4), written.
         by_torque: b, shape (m, 4), written.
         by_acceleration: e, shape (m, 4), written.
+        model: Whose equations of motion. Of the full arm, M2 alpha is a torque at phi.
     """
     held, stepped = np.zeros((_SIZE, _SIZE)), np.empty((4, _SIZE))
     for k in range(angles.shape[0]):
         _, cosine = sine_cosine(angles[k])
-        _fill(held, plant, stiffness, cosine, LUMPED)
+        _fill(held, plant, stiffness, cosine, model)
         write_exponential(held, period, stepped)
         for i in range(4):
             for j in range(4):
@@ -119,7 +129,7 @@ def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats,
     a, b, e = np.empty((count, size, 4, 4)), np.empty((count, size, 4)), np.empty((count, size, 4))
     for i in range(count):
         plant, stiffness = plant_of(table[i]), _slack_stiffness(table[i])
-        write_sampled_models(plant, stiffness, angles, period, a[i], b[i], e[i])
+        write_sampled_models(plant, stiffness, angles, period, a[i], b[i], e[i], LUMPED)
     return a, b, e
 
 

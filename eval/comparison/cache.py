@@ -116,15 +116,16 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
     scenarios, count = side_by_side([(part.split, slice(part.count)) for part in parts]), sum(counts)
     metrics = {name: np.empty((len(method.sources), count)) for name in parts[0].tables}
     arms = scenarios.arms(slice(count)) if method.kind == "privileged" else []
+    model = scenarios.settings.get("model", "lumped")
     for seeds in method.batches(count):
         rows = np.tile(np.arange(count), len(seeds))
         arguments = scenarios.arguments(rows)
-        run = rollout(method.controllers(seeds, *arms), len(rows), sensors=method.sensors, **arguments)
+        run = rollout(method.controllers(seeds, *arms, model=model), len(rows), sensors=method.sensors, **arguments)
         require_these_arms(run, scenarios, rows)
         tables = {name: run.over_moves(values) for name, values in run.metrics().items()}
         tables[LEFT] = np.where(run.of_move(run.num_moves - 1).finished, 0.0, 1.0)
         if parts[0].perturbed:
-            again = Perturbed(method.controllers(seeds, *arms))
+            again = Perturbed(method.controllers(seeds, *arms, model=model))
             cost = rollout(again, len(rows), sensors=method.sensors, **arguments).cost
             tables[SENSITIVE] = sensitive(tables["cost"], run.over_moves(cost))
         for name, values in tables.items():

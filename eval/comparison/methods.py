@@ -67,17 +67,17 @@ class Method:
         """Make the controller of a training seed, as `controllers` does."""
         return self.controllers(range(seed, seed + 1), *arms)
 
-    def controllers(self, seeds: range, *arms: Sequence[ArmParams]) -> Controller:
+    def controllers(self, seeds: range, *arms: Sequence[ArmParams], model: str = "lumped") -> Controller:
         """Make the controllers of some training seeds, one of `batches`, as one, for arms that they share equally.
 
-        Only a privileged controller needs the constants of the arms, in each move of an episode.
+        Only a privileged controller needs the constants of the arms, in each move of an episode, and their model.
 
         Raises:
             ValueError: If it cannot be made.
         """
         source = self.sources[seeds[0]]
         if self.kind == "privileged":
-            return PrivilegedController(*arms)
+            return PrivilegedController(*arms, model=model)
         if self.kind == "learned":
             controller = load_controller(*(self.sources[seed] for seed in seeds))
             return GuardedResidualController(controller, servo_for(self.base or "")) if self.guarded else controller

@@ -4,8 +4,9 @@ Every controller of the chain has one thing more than the one before; all make t
 and parts of a shift.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -14,6 +15,8 @@ from matplotlib.figure import Figure
 
 from agents.policy.bundle import POLICIES, load_controller
 from baselines import CONTROLLERS
+from baselines.gains import tuned
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.tools.progress import progress_over
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env.arm import ArmParams
@@ -65,11 +68,12 @@ def _held(title: str, *held: str, remembers: bool = False) -> Step:
     return Step(title, "adaptive", lambda _: [believing(*held, remembers=remembers)])
 
 
-def _privileged(moved: Recording | None) -> list[Any]:
-    """The oracle that knows the arms of all moves of a recording."""
+def _privileged(moved: Recording | None, model: str = "lumped") -> list[Any]:
+    """The oracle that knows the arms of all moves of a recording, and their equations of motion."""
     assert moved is not None, "the first step has moved them"
     arms = [ArmParams.from_row(row) for row in moved.params]
-    return [PrivilegedController(*(arms[k : k + moved.num_arms] for k in range(0, len(arms), moved.num_arms)))]
+    in_moves = (arms[k : k + moved.num_arms] for k in range(0, len(arms), moved.num_arms))
+    return [PrivilegedController(*in_moves, model=model)]
 
 
 CHAIN = (
@@ -96,13 +100,32 @@ ASIDE = (
     ),
 )
 """Not of the chain: what identification is worth to the same law, and what learning adds to it."""
+TWO_LINKS = (
+    _tuned("equations of two masses, as above", "adaptive"),
+    ASIDE[1],
+    Step(
+        "equations of two links in filter and plan",
+        "adaptive",
+        lambda _: [AdaptiveController(tuned("adaptive", AdaptiveGains), model="lagrangian")],
+    ),
+    Step("the same, and arm, drive, part and state known", PRIVILEGED, partial(_privileged, model="lagrangian")),
+)
+"""On arms of two links, the comparison's `structural`: what the right equations are worth."""
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Averages of every step's metrics over the moves of the arms."""
+    """Averages of every step's metrics over the moves of the arms, and of some over those of arms of two links."""
+    both = {
+        "rows": _rows((*CHAIN, *ASIDE), options),
+        "two_links": _rows(TWO_LINKS, options, model="lagrangian"),
+    }
+    return {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first, **both}
+
+
+def _rows(steps: Sequence[Step], options: Options, **settings: Any) -> list[dict[str, Any]]:
     rows, moved = list[dict[str, Any]](), None
-    task = {"seed": LOOPS.first, "randomization": "train", "moves": options.moves}
-    for step in progress_over("steps", (*CHAIN, *ASIDE)):
+    task = {"seed": LOOPS.first, "randomization": "train", "moves": options.moves, **settings}
+    for step in progress_over("steps", steps):
         sensors = "full" if step.controller == PRIVILEGED else "encoder"
         runs = [rollout(controller, options.arms, sensors=sensors, **task) for controller in step.make(moved)]
         moved, cost = moved or runs[0], np.stack([run.cost for run in runs])
@@ -122,7 +145,7 @@ def measure(options: Options) -> dict[str, Any]:
                 "left": np.mean([np.sum(~run.finished[-options.arms :]) for run in runs]),
             }
         )
-    return {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first, "rows": rows}
+    return rows
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:

@@ -17,11 +17,13 @@ from scipy.linalg import expm
 
 from baselines.models import friction as dry
 from baselines.models.flatness import CORNERS, flat_point, link_motion, write_corners
-from baselines.models.linear import ANGLES, at_angle, linear_arm
+from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arm_of, turning_load
 from baselines.models.rigid_arm import rigid_torque
+from baselines.planning.plan import Problem, Weights, set_step
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
 from beltarm_env.arm import params_table
+from beltarm_env.physics.models import MODELS
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
@@ -77,6 +79,23 @@ def test_linear_models_are_the_exponential_of_the_continuous_one_and_interpolate
     table = linear_arm(ArmParams()).by_torque
     between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
     np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
+
+
+@pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+def test_a_plans_step_is_the_simulations_along_a_moving_reference(model: str):
+    """With the torque by which turning pulls at the arm, within a tenth of it; of either model."""
+    arm = ArmParams(coulomb_friction=0.0, payload_mass=0.2)
+    simulation, linear = ArmSimulation(arm, model=model), linear_arm_of(arm.row(), MODELS[model])
+    problem = Problem(MoveShape(0.0, 1.0, 1.0, 0.2), arm.plant(), 0.3, linear, Weights())
+    for angle, speed, torque in ((0.5, 1.5, 0.0), (1.2, -2.0, 0.1), (0.8, 2.0, -0.2)):
+        a, b, d, after = np.empty((4, 4)), np.empty(4), np.empty(4), angle + speed * CONTROL_PERIOD
+        set_step(problem, Reference(angle, speed, 0.0), Reference(after, speed, 0.0), a, b, d)
+        x = simulation.advance(np.array([[GEAR * angle, GEAR * speed, 0.0, 0.0]]), np.array([torque]))[0]
+        m2, turning = turning_load(angle, speed, arm.plant())
+        pull = at_angle(linear.by_acceleration, np.array([angle]))[0] * turning / m2
+        actual, expected = d + b * torque, x - [GEAR * after, GEAR * speed, 0.0, 0.0]
+        np.testing.assert_allclose(actual[:2], expected[:2], rtol=1e-3)
+        assert (abs(actual - expected)[2:] < abs(pull[2:]) / 10).all()
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
