@@ -11,7 +11,9 @@ NEEDS_PYTHON = $(if $(VERSION),,$(error $(PYTHON) is not there, or older than Py
 CONSTRAINTS ?= constraints.txt
 EXTRA ?= dev
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Python writes the bytecode of what it imports; that of whole packages takes longer than all else of an installation.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+export PYTHONDONTWRITEBYTECODE =
 READY_COMPARE := $(VENV)/.ready-compare
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
