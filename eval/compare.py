@@ -3,7 +3,7 @@
 Runs the classical controllers, the shipped policies, and an oracle that knows its arm. Prints a table and a verdict,
 and writes report.html, results.json, episodes.csv, page.md and pictures. Results are kept in the folder and used again.
 
-With --quick it takes two or three minutes; with --scenario-seed there are as many scenarios as you ask for.
+With --quick it takes about a minute; with --scenario-seed there are as many scenarios as you ask for.
 """
 
 import os
@@ -29,7 +29,7 @@ from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.sets import choose_set
-from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES
+from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS
 from eval.report import summary
 from eval.report.publish import print_results, publish
 from eval.studies._frame import PAGE, text_of
@@ -75,7 +75,8 @@ class Config(SideBySide):
     """Scenarios per split, 4 to 200, or with --scenario-seed up to 100000, of which the first 200 are always the same.
     Default: 200."""
     quick: bool = False
-    """Take a first look: 20 scenarios per split, unless --episodes says otherwise, and of a shift its first 2 moves."""
+    """Take a first look: 20 scenarios per split, unless --episodes says otherwise, of a shift its first 2 moves, and of
+    each learned method the first 2 of its shipped policies."""
     scenarios: Literal["development", "test"] | None = None
     """Set of scenarios: "development", on which controllers and agents may be chosen, or "test". Default: the test
     set."""
@@ -101,7 +102,7 @@ def run(config: Config) -> None:
             news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
-    usual, moves = (QUICK_EPISODES, QUICK_MOVES) if config.quick else (EPISODES, MOVES)
+    usual, moves, seeds = (QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS) if config.quick else (EPISODES, MOVES, None)
     count = usual if config.episodes is None else config.episodes
     known = choose_set(config.scenarios, config.scenario_seed)
     splits = chosen("split", config.splits, known.splits)
@@ -110,9 +111,8 @@ def run(config: Config) -> None:
         more = f"; --scenario-seed 1 draws up to {MOST}" if config.scenario_seed is None else ""
         raise ValueError(f"--episodes must lie within 4 and {most}, got {count}{more}")
     scenarios = known.only(splits, count, moves)
-    methods = choose_methods(
-        config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
-    )
+    settings = {"guard": config.guard, "time_limit": config.time_limit, "seeds": seeds}
+    methods = choose_methods(config.methods, config.policy, config.add, config.out, **settings)
     for method in methods:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"

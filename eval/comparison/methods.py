@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -209,9 +210,10 @@ def _learned(name: str, members: list[_Read]) -> Method:
     return Method(name, "learned", tuple(str(folder) for folder, *_ in members), identity, training, base)
 
 
-def shipped_policies() -> list[Path]:
-    """Folders of the shipped policies: `agents/policies/METHOD/SEED`."""
-    return sorted(path.parent for path in POLICIES.glob(f"*/*/{POLICY_FILE}"))
+def shipped_policies(seeds: int | None = None) -> list[Path]:
+    """Folders of the shipped policies, `agents/policies/METHOD/SEED`: of each method the first `seeds`, or all."""
+    found = sorted(path.parent for path in POLICIES.glob(f"*/*/{POLICY_FILE}"))
+    return [folder for _, of_method in groupby(found, lambda path: path.parent) for folder in islice(of_method, seeds)]
 
 
 def is_shipped(method: Method) -> bool:

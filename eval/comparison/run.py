@@ -44,16 +44,17 @@ def choose_methods(
     *,
     guard: bool = False,
     time_limit: float = TIME_LIMIT,
+    seeds: int | None = None,
 ) -> list[Method]:
     """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
 
-    See `learned_methods` for `policies`, `added_method` for `added`, `results` and `time_limit` [s]. With `guard` each
-    classical and learned method also runs with the guard.
+    See `learned_methods` for `policies`, `added_method` for `added`, `results` and `time_limit` [s], `shipped_policies`
+    for `seeds`. With `guard` each classical and learned method also runs with the guard.
 
     Raises:
         ValueError: If a name is unknown or given twice, or there is no such file or package.
     """
-    known = [*classical_methods(), *learned_methods([*shipped_policies(), *policies])]
+    known = [*classical_methods(), *learned_methods([*shipped_policies(seeds), *policies])]
     known += [added_method(spec, results, time_limit) for spec in added] + [privileged_method()]
     all_names = [method.name for method in known]
     for name in all_names:
@@ -238,13 +239,17 @@ def _claimed_methods(
     """Methods that results are of, which must be there."""
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
     words = list(pairwise(shlex.split(claimed["provenance"]["command"])))
-    project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
+    learned = {method.name for method in learned_methods(shipped_policies())}
+    project = {*CONTROLLERS, PRIVILEGED, *learned}
     known = choose_methods(
         [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
         policies or [word for option, word in words if option == "--policy"],
         added or [word for option, word in words if option == "--add"],
         guard=any(name.endswith("+guard") for name in names),
         time_limit=time_limit,
+        seeds=max(
+            (row["seeds"] for row in claimed["rows"] if row["method"].removesuffix("+guard") in learned), default=1
+        ),
     )
     methods = {method.name: method for method in known}
     if missing := [name for name in names if name not in methods]:

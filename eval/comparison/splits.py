@@ -37,8 +37,8 @@ EPISODES = 200
 """Scenarios of a split."""
 MOVES = 6
 """Moves of a shift."""
-QUICK_EPISODES, QUICK_MOVES = 20, 2
-"""Scenarios of a split, and moves of a shift, that are run for a first look."""
+QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS = 20, 2, 2
+"""Scenarios of a split, moves of a shift, and shipped policies of a learned method, that are run for a first look."""
 _SPACING = 1000  # seeds between the first arms of two splits
 _PER_SCENARIO, _PER_MOVE = ("seeds", "delays"), ("tables", "all_moves")  # arrays of a split, by their axes
 

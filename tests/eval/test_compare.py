@@ -20,7 +20,6 @@ from studies import draw_alone
 from beltarm_env.metrics import TORQUES
 from eval import compare
 from eval.comparison import provenance
-from eval.comparison.methods import shipped_policies
 from eval.comparison.schema import SCHEMA, read_results
 from eval.comparison.sets import choose_set
 from eval.comparison.splits import EDITION, SPLITS, VERSION
@@ -29,7 +28,6 @@ from eval.report.publish import LARGEST
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = 2
-POLICIES = [folder for folder in shipped_policies() if folder.parent.name == "ppo"][:SEEDS]
 EPISODES, BOTH = 20, ("nominal", "sensing")
 MOVES = {"nominal": 1, "sensing": 2}
 METHODS = ["paper", "ei", "ppo", "privileged"]
@@ -51,7 +49,6 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder, output = tmp_path_factory.mktemp("compared"), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
         patch.setattr(publish, "save_figures", draw_alone)
-        patch.setattr("eval.comparison.run.shipped_policies", lambda: POLICIES)
         assert stopped(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
 
