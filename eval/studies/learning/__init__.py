@@ -30,16 +30,20 @@ from beltarm_env.task.seeds import ABLATIONS
 from eval.report.curves import BEST_CLASSICAL, Curve, classical_cost, curves_figure, find_curves, levels
 from eval.report.style import COLOURS, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies.learning import bins
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
-QUICK = {"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "runs": Path("runs/ablations-quick")}
+QUICK = {
+    **{"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "runs": Path("runs/ablations-quick")},
+    **{"bins": 1, "bin_arms": 5},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(StudyOptions, WithStorage):
     """Options of the study."""
 
-    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000))
+    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000), bins=(1, 100), bin_arms=(5, 100))
 
     runs: Path = Path("runs/ablations")
     """Folder of the runs. Finished runs are kept and not repeated."""
@@ -47,10 +51,14 @@ class Options(StudyOptions, WithStorage):
     """Factors or variants to run, such as told or nothing, with the runs that they are compared with. Default: all."""
     samples: int = 2_000_000
     """Samples that each run simulates."""
-    seeds: int = 1
+    seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
     arms: int = 256
     """Arms on which the last policy is scored."""
+    bins: int = 20
+    """Bins of presliding, of friction and of payload, in which shipped policies are compared with the base."""
+    bin_arms: int = 40
+    """Arms of a bin, a multiple of 5, the number of a method's policies."""
 
 
 def measure(options: Options) -> dict[str, Any]:
@@ -77,6 +85,7 @@ def measure(options: Options) -> dict[str, Any]:
         "best_classical": BEST_CLASSICAL,
         "validated": [[arms, moves, classical_cost(arms, moves)] for arms, moves in sorted(validated)],
         "shipped": shipped,
+        "bins": bins.measure(options.bins, options.bin_arms, options.jobs),
         "shipped_levels": levels(shipped),
     }
 
@@ -161,6 +170,8 @@ def tables(data: Data) -> Data:
         "scores": _scores,
         "label": _label,
         "words": _words,
+        "compared": bins.COMPARED,
+        "worst": bins.worst,
         "seeds": len(first),
         "common": first[0]["command"].rsplit(" --seed ", 1)[0],
         "minutes": sum(run["minutes"] for run in runs),
@@ -200,7 +211,8 @@ def pictures(data: Data) -> Pictures:
         curves = [Curve(**(row | {name: np.array(row[name]) for name in arrays})) for row in data["shipped"]]
         return curves_figure(curves, data["shipped_levels"])
 
-    return {"ablations.png": lambda: _ablations(data), "shipped.png": shipped}
+    of_bins = {"bins.png": lambda: bins.drawn(data["bins"])} if "bins" in data else {}
+    return {"ablations.png": lambda: _ablations(data), "shipped.png": shipped, **of_bins}
 
 
 def _ablations(data: Data) -> Figure:

@@ -1,0 +1,96 @@
+"""Shipped policies over the best classical controller, bin by bin of what arms may have, in training and beyond it.
+
+In each bin one constant of the arms lies between two bounds. All others are drawn as in training.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from agents.policy.bundle import POLICIES, load_controller
+from agents.residual.bases import make_base
+from beltarm_env.arm import NOMINAL
+from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import SHIFT_RANGES
+from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.rollouts import side_by_side
+from eval.report.curves import BEST_CLASSICAL
+from eval.report.style import COLOURS, below, panels
+
+
+class Divided(NamedTuple):
+    """Constant that bins divide, from below its training range to far above it."""
+
+    title: str
+    low: float  # SI
+    high: float
+    unit: float  # in which it is shown
+
+
+DIVIDED = {
+    "presliding_deflection": Divided("deflection before the motor slips (mrad)", 0.0, 0.020, 1e-3),
+    "coulomb_friction": Divided(
+        "Coulomb friction (nominal = 1)",
+        0.7 * NOMINAL.coulomb_friction,
+        1.8 * NOMINAL.coulomb_friction,
+        NOMINAL.coulomb_friction,
+    ),
+    "payload_mass": Divided("mass of a part (kg)", 0.05, 0.8, 1.0),
+}
+"""By the field's name in `ArmParams`."""
+METHODS = ("student", "ppo")
+COMPARED = {"cost": "cost", "torque_rate_rms": "torque rate", "torque_reversals_hz": "reversals"}
+"""Metrics and their titles."""
+_MOVES = 2  # one with a part, one without
+
+
+def measure(bins: int, arms: int, jobs: int | None) -> dict[str, list[dict[str, Any]]]:
+    """Measure ratios to the best classical controller in each bin of each of `DIVIDED`; some arms in each."""
+    results = side_by_side("bins", ratios, [(name, k, bins, arms) for name in DIVIDED for k in range(bins)], jobs)
+    return {name: [results[name, k, bins, arms] for k in range(bins)] for name in DIVIDED}
+
+
+def ratios(name: str, k: int, bins: int, arms: int) -> dict[str, Any]:
+    """Ratios in one bin: of means over all moves of all arms, which the policies of a method share equally."""
+    of = DIVIDED[name]
+    low, high = (of.low + (of.high - of.low) * edge / bins for edge in (k, k + 1))
+    task = {"seed": ABLATIONS.first + k * arms, "randomization": {**SHIFT_RANGES, name: (low, high)}, "moves": _MOVES}
+    controllers = {BEST_CLASSICAL: make_base(BEST_CLASSICAL)}
+    controllers |= {method: load_controller(*sorted((POLICIES / method).glob("seed*"))) for method in METHODS}
+    runs = {method: rollout(controller, arms, **task).metrics() for method, controller in controllers.items()}
+    means = {method: {metric: np.nanmean(run[metric]) for metric in COMPARED} for method, run in runs.items()}
+    base = means.pop(BEST_CLASSICAL)
+    found = {method: {metric: mean[metric] / base[metric] for metric in COMPARED} for method, mean in means.items()}
+    return {"low": low / of.unit, "high": high / of.unit, **found}
+
+
+def worst(measured: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Largest and middle ratio of each method over the bins of each constant."""
+    return [
+        {
+            "method": method,
+            "title": DIVIDED[name].title,
+            **{metric: {"median": np.median(of_bins), "most": max(of_bins)} for metric, of_bins in table.items()},
+        }
+        for name, rows in measured.items()
+        for method in METHODS
+        for table in [{metric: [row[method][metric] for row in rows] for metric in COMPARED}]
+    ]
+
+
+def drawn(measured: dict[str, list[dict[str, Any]]]) -> Figure:
+    """Draw the ratios of the cost over the bins; grey: the training range."""
+    figure, axes = panels(len(measured), 3, (4.2, 3.2), sharey=True)
+    for axis, (name, rows) in zip(axes, measured.items(), strict=True):
+        middles = [(row["low"] + row["high"]) / 2 for row in rows]
+        low, high = SHIFT_RANGES[name]
+        axis.axvspan(low / DIVIDED[name].unit, high / DIVIDED[name].unit, color="0.93", label="in training")
+        axis.axhline(1.0, color="0.45", lw=1, ls="--")
+        for method, colour in zip(METHODS, COLOURS, strict=False):
+            axis.plot(middles, [row[method]["cost"] for row in rows], "o-", ms=3, color=colour, label=method)
+        axis.set_xlabel(DIVIDED[name].title)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel(f"mean cost over that of {BEST_CLASSICAL}")
+    below(figure, axes[0], 1 + len(METHODS))
+    return figure
