@@ -106,7 +106,7 @@ class AdaptiveDesign(NamedTuple):
 class ArmMemory(NamedTuple):
     """Memory of the law for one arm."""
 
-    notes: Belief  # what is known of it
+    belief: Belief  # what is known of it
     logs: Floats  # `Estimate.logs` that the plan was made for, shape (6,)
     plan: Floats  # shape (1200, 10)
     to_go: CostToGo  # of the plan that is being made anew
@@ -140,8 +140,8 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
     """Identify the arm; where a move begins, plan it, which takes much longer than a sample."""
     write_inputs(now, begins, memory.inputs)
     found = memory.found
-    identify(design.filter, memory.inputs, memory.notes, memory.identification)
-    estimate(design.filter, memory.notes, memory.identification.simulation, found)
+    identify(design.filter, memory.inputs, memory.belief, memory.identification)
+    estimate(design.filter, memory.belief, memory.identification.simulation, found)
     if begins or now.step == 0:
         write_linear_arm(found.table[0], design.filter.nominal.model, memory.planning.model)
         start = Start(0, now.step + found.delay[0], found.states[0], design.improvements)
@@ -156,7 +156,7 @@ def torque(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> float:
     """Torque [N m] by the plan, once `begun` has been there."""
     found = memory.found
     planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
-    z, direction = memory.notes.tracks.mean[0], found.direction[0]
+    z, direction = memory.belief.tracks.mean[0], found.direction[0]
     return motor_torque(design.compensation, planned, found.table[0], z, found.states[0], direction)
 
 

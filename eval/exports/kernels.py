@@ -127,7 +127,7 @@ class Learned(NamedTuple):
 class Filtering(NamedTuple):
     """Memory of an identification beside the base."""
 
-    notes: Any
+    belief: Any
     inputs: Any
     work: Any
 
@@ -153,7 +153,7 @@ def classical(law: Kernel, identifies: bool) -> Kernel:
     def propose(design: Any, limit: float, device: Device, now: Sample, begins: bool, memory: Any) -> Proposal:
         torque = law(design, now, begins, memory)
         action: Any = np.float32(cut(torque / limit, 1.0))
-        return Proposal(action, 0.0, action, memory.notes.tracks.surprise[0] if identifies else 1.0)
+        return Proposal(action, 0.0, action, memory.belief.tracks.surprise[0] if identifies else 1.0)
 
     return propose
 
@@ -170,15 +170,15 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     def propose(design: Learned, limit: float, device: Device, now: Sample, begins: bool, memory: Learned) -> Proposal:
         torque = law(design.base, now, begins, memory.base)
         base: Any = np.float32(cut(torque / limit, 1.0))
-        notes, surprise = None, 1.0
+        belief, surprise = None, 1.0
         if informed:
             if not shared:
                 write_inputs(now, begins, memory.filter.inputs)
-                identify(design.filter, memory.filter.inputs, memory.filter.notes, memory.filter.work)
-            notes = memory.base.notes if shared else memory.filter.notes
-            surprise = notes.tracks.surprise[0]
+                identify(design.filter, memory.filter.inputs, memory.filter.belief, memory.filter.work)
+            belief = memory.base.belief if shared else memory.filter.belief
+            surprise = belief.tracks.surprise[0]
         seen = device.observation[0]
-        residual = correct(design.correction, seen, base, now, notes, begins, memory.correction)
+        residual = correct(design.correction, seen, base, now, belief, begins, memory.correction)
         share = design.correction.limit
         return Proposal(base, share * residual, combined(base, residual, share), surprise)
 

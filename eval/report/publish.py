@@ -18,7 +18,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.markup import escape
 
@@ -57,7 +56,6 @@ _INTERVALS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 _MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
 _ACROSS = 3  # splits side by side
 _ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
-_FEW_MARKS = 5.0  # ratio of an axis' ends up to which it may have but one of the marks 1, 2, 5
 _DRAWN = 1000.0  # cost up to which a method has bars; others would hide all differences
 
 
@@ -198,9 +196,6 @@ def _draw_intervals(axis: Axes, ranking: list[Record], name: str) -> None:
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
     axis.set_xscale("log")
     mark_one_two_five(axis.xaxis)
-    low, high = axis.get_xlim()
-    if high < _FEW_MARKS * low:
-        axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     axis.set_ylim(-0.7, len(ranking) - 0.3)
     axis.grid(axis="x", which="both", alpha=0.3)
     axis.tick_params(labelsize=8)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from PIL import Image
 
 from baselines.tools.files import write_atomically
@@ -23,9 +23,17 @@ OF_KIND = {"classical": BLUE, "learned": ORANGE, "added": GREEN, "privileged": "
 """Of a method of the comparison, by its kind."""
 
 
+class _OneTwoFive(LogLocator):
+    """1, 2 and 5 times the powers of ten; round numbers where an axis is so short that it may have but one of those."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        short = vmax < 5 * vmin
+        return MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(vmin, vmax) if short else super().tick_values(vmin, vmax)
+
+
 def mark_one_two_five(axis: Axis) -> None:
-    """Name 1, 2 and 5 times the powers of ten on a logarithmic axis, as plain numbers."""
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    """Name 1, 2 and 5 times the powers of ten on a logarithmic axis, or a few round numbers on a short one."""
+    axis.set_major_locator(_OneTwoFive(subs=(1, 2, 5)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 

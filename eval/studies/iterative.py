@@ -1,9 +1,13 @@
-"""What the textbook's iterative learning gains by repeating the same move on the same arm.
+"""What practice brings: the same move on the same arm, again and again.
 
-The learner is `baselines.yardsticks.iterative`. Controllers that learn nothing from trial to trial stand beside it.
+`adaptive` remembers the arm (`baselines.yardsticks.remembering`); the textbook learns a feed-forward
+(`baselines.yardsticks.iterative`). Controllers that learn nothing from trial to trial stand beside them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from baselines import PaperController, tuned_controller
 from baselines.yardsticks.iterative import IterativeController
+from baselines.yardsticks.remembering import RememberingController
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, heading
@@ -22,14 +27,25 @@ from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import side_by_side
 from eval.comparison.statistics import estimate, paired
-from eval.report.style import BLUE, below, mark_one_two_five, panels
+from eval.report.style import BLUE, GREEN, VERMILION, below, mark_one_two_five, panels
 from eval.studies._arms import privileged
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 4, "repetitions": 2, "jobs": 1}
-LEARNER = "iterative"
+MEMORY, WHOLE_MEMORY, LEARNER = "remembering", "remembering g too", "iterative"
+PRACTISING: dict[str, Callable[[], RememberingController | IterativeController]] = {
+    MEMORY: RememberingController,
+    WHOLE_MEMORY: partial(RememberingController, keeps_giving=True),
+    LEARNER: IterativeController,
+}
+"""What makes the first trial and the controllers of all that follow, by name."""
 OTHERS = ("paper", "adaptive", "privileged")
 """Controllers that learn nothing from trial to trial."""
+PAIRS = (
+    *((MEMORY, 1, "adaptive"), (MEMORY, -1, "adaptive"), (MEMORY, -1, "privileged")),
+    *((WHOLE_MEMORY, -1, "adaptive"), (LEARNER, -1, "paper"), (LEARNER, -1, "adaptive")),
+)
+"""Differences of costs that are shown: of a controller in its second trial or the last, from another controller."""
 KINDS = {
     "nominal": ("off", "the nominal arm with an ideal drive, random moves"),
     "ideal": ("ideal", "arms from the training ranges, but with an ideal drive"),
@@ -37,11 +53,9 @@ KINDS = {
 }
 """The environment's randomization, and what it is, by name."""
 _MOTOR_RMS = "motor_rms_mrad"
-_TITLES = {
-    **{name: heading(name) for name in ("cost", "tip_rms_mm", "residual_pp_mm")},
-    _MOTOR_RMS: "motor RMS (mrad at the joint)",
-}
-_DIGITS = {**{name: METRICS[name].digits + 1 for name in _TITLES if name in METRICS}, _MOTOR_RMS: 2}
+_HEADED = ("cost", "tip_rms_mm", "residual_pp_mm")
+_TITLES = {**{name: heading(name) for name in _HEADED}, _MOTOR_RMS: "motor RMS (mrad at the joint)"}
+_DIGITS = {**{name: METRICS[name].digits + 1 for name in _HEADED}, _MOTOR_RMS: 2}
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ class Options(StudyOptions):
     """Kinds of arms: nominal, ideal, randomized. Default: all."""
     arms: int = 100
     """Arms of each kind, 4 to 1000."""
-    repetitions: int = 10
+    repetitions: int = 20
     """Number of times that each arm makes its move, 2 to 100."""
     jobs: int | None = None
     """Number of processes. Default: one per core."""
@@ -63,21 +77,19 @@ class Options(StudyOptions):
 def measure(options: Options) -> dict[str, Any]:
     """Metrics of every controller on every kind of arms, by repetition, and differences of their costs."""
     kinds = chosen("kind", options.kinds, KINDS)
-    cases = [(kind, name, options.arms, options.repetitions) for kind in kinds for name in (LEARNER, *OTHERS)]
+    cases = [(*case, options.arms, options.repetitions) for case in product(kinds, (*PRACTISING, *OTHERS))]
     results = side_by_side("controllers and kinds of arms", run, cases, options.jobs)
-    rows, differences = [], []
-    for (kind, name, *_), trials in results.items():
-        for k, metrics in enumerate(trials, start=1):
+    rows, trials = [], {(kind, name): result for (kind, name, *_), result in results.items()}
+    for (kind, name), each in trials.items():
+        for k, metrics in enumerate(each, start=1):
             levels = {metric: estimate(values[None]) for metric, values in metrics.items()}
-            quartiles = np.percentile(metrics["cost"], [25, 75])
-            repetition = k if name == LEARNER else None
-            rows.append({"kind": kind, "controller": name, "repetition": repetition, "quartiles": quartiles, **levels})
-        if name != LEARNER:
-            last = results[kind, LEARNER, options.arms, options.repetitions][-1]["cost"]
-            pair = paired(last[None], trials[0]["cost"][None])
-            differences.append(
-                {"kind": kind, "against": name, "difference": pair.difference, "wins": pair.win_rate.iqm}
-            )
+            of = {"kind": kind, "controller": name, "repetition": k if name in PRACTISING else None}
+            rows.append({**of, "quartiles": np.percentile(metrics["cost"], [25, 75]), **levels})
+    differences = []
+    for kind, (name, trial, other) in product(kinds, PAIRS):
+        pair = paired(trials[kind, name][trial]["cost"][None], trials[kind, other][0]["cost"][None])
+        of = {"kind": kind, "controller": name, "repetition": trial % options.repetitions + 1, "against": other}
+        differences.append({**of, "difference": pair.difference, "wins": pair.win_rate.iqm})
     return {
         "arms": options.arms,
         "repetitions": options.repetitions,
@@ -91,27 +103,15 @@ def measure(options: Options) -> dict[str, Any]:
 def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Floats]]:
     """Metrics of each repetition of one controller on one kind of arms."""
     scenarios = {"seed": REPETITION.first, "randomization": KINDS[kind][0]}
-    if name == LEARNER:
-        return repeated(arms, repetitions, **scenarios)
+    if name in PRACTISING:
+        controller, trials = PRACTISING[name](), list[dict[str, Floats]]()
+        for _ in range(repetitions):
+            trials.append(metrics_of(rollout(controller, arms, **scenarios)))
+            controller = controller.following()
+        return trials
     if name == "privileged":
         return [metrics_of(rollout(privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
-    controller = PaperController() if name == "paper" else tuned_controller(name)
-    return [metrics_of(rollout(controller, arms, **scenarios))]
-
-
-def repeated(arms: int, repetitions: int, **scenarios: Any) -> list[dict[str, Floats]]:
-    """Metrics of each repetition of the learner, in order.
-
-    Args:
-        arms: Number of arms, side by side.
-        repetitions: Number of times that each arm makes its move.
-        **scenarios: Seed and settings of `rollout`, the same every time.
-    """
-    controller, trials = IterativeController(), []
-    for _ in range(repetitions):
-        trials.append(metrics_of(rollout(controller, arms, **scenarios)))
-        controller = controller.following()
-    return trials
+    return [metrics_of(rollout(PaperController() if name == "paper" else tuned_controller(name), arms, **scenarios))]
 
 
 def metrics_of(run: Recording) -> dict[str, Floats]:
@@ -142,20 +142,20 @@ def _draw(data: dict[str, Any]) -> Figure:
         _curves(axis, [row for row in data["rows"] if row["kind"] == kind])
     axes[0].set_ylabel("cost of an episode")
     figure.suptitle("Interquartile means over arms; band: the middle half of the arms", fontsize=10)
-    below(figure, axes[0], 1 + len(OTHERS))
+    below(figure, axes[0], len(PRACTISING) + len(OTHERS))
     return figure
 
 
 def _curves(axis: Axes, rows: list[dict[str, Any]]) -> None:
-    learnt = [row for row in rows if row["controller"] == LEARNER]
-    numbers = range(1, len(learnt) + 1)
-    low, high = zip(*(row["quartiles"] for row in learnt), strict=True)
-    axis.fill_between(numbers, low, high, color=BLUE, alpha=0.15, linewidth=0)
-    axis.plot(numbers, [row["cost"]["iqm"] for row in learnt], color=BLUE, marker="o", markersize=3, label=LEARNER)
+    for name, colour in zip(PRACTISING, (BLUE, GREEN, VERMILION), strict=True):
+        practised = [row for row in rows if row["controller"] == name]
+        numbers = range(1, len(practised) + 1)
+        low, high = zip(*(row["quartiles"] for row in practised), strict=True)
+        axis.fill_between(numbers, low, high, color=colour, alpha=0.15, linewidth=0)
+        axis.plot(numbers, [row["cost"]["iqm"] for row in practised], "o-", color=colour, markersize=3, label=name)
     for name, line in zip(OTHERS, (":", "--", "-."), strict=True):
         (row,) = (row for row in rows if row["controller"] == name)
         axis.axhline(row["cost"]["iqm"], color="0.3", linewidth=1, linestyle=line, label=name)
-    axis.set_yscale("log")
+    axis.set(xlabel="repetition", yscale="log")
     mark_one_two_five(axis.yaxis)
-    axis.set_xlabel("repetition")
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))

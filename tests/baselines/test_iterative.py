@@ -1,6 +1,7 @@
-"""Iterative learning: the norm-optimal change against independent solutions, and the textbook's controller."""
+"""Practice: the norm-optimal change against independent solutions, the textbook's learning, and memory of the arm."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from properties import examples
 from refusals import refused
 from scipy.optimize import lsq_linear
 
-from baselines import PaperController
-from baselines.planning.norm_optimal import Linearisation, Trial, Weights, optimal_change
+from baselines import PaperController, tuned_controller
+from baselines.estimation.believed_arm import DISTURBANCE, GIVING, SIZE
+from baselines.planning.norm_optimal import Linearisation, Trial, Weights, followed, optimal_change
 from baselines.yardsticks.iterative import IterativeController
-from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, design_model
+from baselines.yardsticks.remembering import RememberingController
+from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_table
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.rollout import rollout
@@ -45,23 +48,14 @@ def lifted(trial: Trial) -> np.ndarray:
     return np.stack([(trial.of_state @ dx).ravel() for dx in changes], axis=1)
 
 
-def lifted_change(trial: Trial, weights: Weights, torque_change: np.ndarray) -> np.ndarray:
-    """The same problem as one stacked least squares."""
+def stacked(trial: Trial, weights: Weights, torque_change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same problem as one least squares: its matrix and what is wanted; the last rows are the effort."""
     steps = len(torque_change)
     roots, smooth = np.sqrt(weights.errors).ravel(), np.sqrt(weights.smoothness)
     difference = np.eye(steps) - np.eye(steps, k=-1)
     rows = roots[:, None] * lifted(trial), smooth[:, None] * difference, np.sqrt(weights.effort) * np.eye(steps)
     wanted = np.concatenate([-roots * trial.errors.ravel(), -smooth * torque_change, np.zeros(steps)])
-    return np.linalg.lstsq(np.vstack(rows), wanted, rcond=None)[0]
-
-
-def followed(trial: Trial, change: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    dx, last, changes = np.zeros(4), 0.0, []
-    for k in range(len(change)):
-        last = change[k] - gain[k] @ np.append(dx, last)
-        dx = trial.transition[k] @ dx + trial.by_torque[k] * last
-        changes.append(last)
-    return np.array(changes)
+    return np.vstack(rows), wanted
 
 
 @examples(40)
@@ -71,15 +65,15 @@ def test_change_is_that_of_the_lifted_least_squares(seed: int, steps: int):
     trial, before = random_trial(rng, steps), rng.normal(0, 1, steps)
     weights = Weights(rng.uniform(0.1, 3, (steps, 4)), rng.uniform(0, 2, steps), float(rng.uniform(0.01, 2)))
     change, gain, _ = optimal_change(trial, weights, np.cumsum(before))
-    expected = lifted_change(trial, weights, before)
-    np.testing.assert_allclose(followed(trial, change, gain), expected, rtol=1e-7, atol=1e-9)
+    expected = np.linalg.lstsq(*stacked(trial, weights, before), rcond=None)[0]
+    np.testing.assert_allclose(followed(trial, change, gain)[0], expected, rtol=1e-7, atol=1e-9)
     k, dx, last = steps // 2, rng.normal(0, 1, 4), rng.normal()
     rest, free = Trial(*(part[k:].copy() for part in trial)), dx
     for j in range(steps - k):
         free = trial.transition[k + j] @ free
         rest.errors[j] += trial.of_state[k + j] @ free
     of_rest = Weights(weights.errors[k:], weights.smoothness[k:], weights.effort)
-    first = lifted_change(rest, of_rest, np.append(before[k] - last, before[k + 1 :]))[0]
+    first = np.linalg.lstsq(*stacked(rest, of_rest, np.append(before[k] - last, before[k + 1 :])), rcond=None)[0][0]
     assert change[k] - gain[k] @ np.append(dx, last) == pytest.approx(first, rel=1e-7, abs=1e-9), "disturbed at k"
 
 
@@ -90,11 +84,9 @@ def test_limited_changes_end_at_the_bounded_least_squares():
     matrix, errors = lifted(trial), trial.errors.ravel()
     for _ in range(50):
         now = trial._replace(errors=(errors + matrix @ torque).reshape(20, 4))
-        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)[:2]), -limit, limit)
-    roots, difference = np.sqrt(weights.errors).ravel(), np.eye(20) - np.eye(20, k=-1)
-    rows = np.vstack([roots[:, None] * matrix, np.sqrt(weights.smoothness)[:, None] * difference])
-    wanted = np.append(-roots * errors, np.zeros(20))
-    expected = lsq_linear(rows, wanted, (-limit, limit), method="bvls").x
+        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)[:2])[0], -limit, limit)
+    rows, wanted = stacked(trial, weights, np.zeros(20))
+    expected = lsq_linear(rows[:-20], wanted[:-20], (-limit, limit), method="bvls").x
     assert 3 < (np.abs(expected) == limit).sum() < 17
     np.testing.assert_allclose(torque, expected, atol=1e-6)
 
@@ -118,8 +110,7 @@ def test_linearisation_predicts_what_the_drive_does():
     for _ in range(40):
         _, _, _, _, info = env.step(np.array([0.4], np.float32))
     np.testing.assert_allclose(states[-1, :4], env.state, rtol=1e-12)
-    reference = env.reference(40 * 0.0015)
-    task = np.tile([reference.angle, reference.speed], (40, 1))
+    task = np.tile(env.reference(40 * 0.0015)[:2], (40, 1))
     trial = Linearisation(env.params, 40).about(states[:-1], torques, task, env.params.row())
     assert np.hypot(*trial.errors[-1, :2]) == pytest.approx(info["tip_error"], rel=1e-9)
     assert np.hypot(*trial.errors[-1, 2:]) / VELOCITY_SCALE == pytest.approx(info["cost_velocity"], rel=1e-9)
@@ -142,9 +133,7 @@ def test_linearisation_of_a_motor_that_gives():
     assert abs(moved[0]) > 3e-6
     np.testing.assert_allclose(moved, changes_of_state(trial, push)[-1], rtol=0.02, atol=1e-9)
     rests = np.array([[88 * 0.7, 0.0, 0.0, 0.0]]), np.array([0.01]), np.array([[0.7, 0.0]])
-    assert (Linearisation(ArmParams(), 1).about(*rests, NOMINAL).by_torque == 0).all(), (
-        "one that does not give is stuck"
-    )
+    assert (Linearisation(ArmParams(), 1).about(*rests, NOMINAL).by_torque == 0).all(), "it sticks without giving"
 
 
 def test_the_first_repetition_is_the_papers_and_learning_alone_and_side_by_side_the_same():
@@ -158,20 +147,32 @@ def test_the_first_repetition_is_the_papers_and_learning_alone_and_side_by_side_
 
 
 def test_arms_that_leave_the_workspace_keep_what_they_knew():
-    class Pushed(IterativeController):
-        def predict(self, *arguments, **keywords):
-            action, memory = super().predict(*arguments, **keywords)
-            action[1] = 1.0
-            return action, memory
-
-    before = np.full((3, EPISODE_STEPS), 1e-3)
-    controller = Pushed(before)
+    before = np.full((3, EPISODE_STEPS), [[1e-3], [10.0], [1e-3]])
+    controller = IterativeController(before)
     assert rollout(controller, 3, seed=SEED, randomization="ideal").finished.tolist() == [True, False, True]
-    learnt = controller.following().feed_forward
-    assert learnt is not None
+    learnt = cast(Any, controller.following().feed_forward)
     assert (learnt[1] == before[1]).all() and (learnt[0] != before[0]).any() and np.isfinite(learnt).all()
-
-
-def test_what_does_not_fit_is_refused():
-    refused(ValueError, ("2 arms", "3"), lambda: rollout(IterativeController(np.zeros((2, 1))), 3, seed=SEED))
+    refused(ValueError, ("2 arms", "3"), lambda: rollout(IterativeController(before[:2]), 3, seed=SEED))
     refused(ValueError, ("1200", "0"), IterativeController().following)
+
+
+def test_constants_are_remembered_and_the_rest_begins_anew():
+    """The first trial is that of `adaptive`, the second costs less. Of an arm that leaves nothing more is known."""
+    first, settings = cast(Any, RememberingController()), {"seed": SEED, "randomization": "ideal"}
+    refused(ValueError, ("trial",), first.following)
+    run, adaptive = (rollout(one, 6, **settings) for one in (first, tuned_controller("adaptive")))
+    assert (run.torque == adaptive.torque).all()
+    second = first.following()
+    assert rollout(second, 6, **settings).cost.mean() < 0.95 * run.cost.mean()
+    refused(ValueError, ("6 arms", "3"), lambda: rollout(first.following(), 3, **settings))
+    new, old, began = (belief.tracks for belief in (first._first, first._last, second._first))
+    forgotten = [0, 1, 2, 3, GIVING, DISTURBANCE]
+    lasting = np.setdiff1d(np.arange(SIZE), forgotten)
+    assert all((a[:, forgotten] == b[:, forgotten]).all() for a, b in zip(began[:2], new[:2], strict=True))
+    assert (began.mean[:, lasting] == old.mean[:, lasting]).all()
+    assert (began.covariance[:, lasting][:, :, lasting] == old.covariance[:, lasting][:, :, lasting]).all()
+    third, (observation, _) = second.following(), BeltArmVectorEnv(6, randomization="ideal").reset(seed=SEED)
+    memory = third.predict(observation, third.predict(observation)[1])[1]
+    third.predict(observation, memory, np.arange(6) == 1)
+    kept, known = third.following().remembered.tracks.mean[:, lasting], third.remembered.tracks.mean[:, lasting]
+    assert ((kept == known).all(axis=1) == (np.arange(6) == 1)).all()

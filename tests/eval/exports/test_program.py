@@ -127,7 +127,7 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
     (tmp_path / "main.c").write_text(program, encoding="utf-8")
     native().build([tmp_path / "main.c"], tmp_path / "main.o", "-I", str(made.folder), "-c")
     header = (made.folder / "adaptive.h").read_text(encoding="utf-8")
-    assert all(name in header and name in PAGE for name in ("memory_guard_row", "memory_own_notes_tracks_surprise"))
+    assert all(name in header and name in PAGE for name in ("memory_guard_row", "memory_own_belief_tracks_surprise"))
     assert f"memory_guard_row[{LEVEL}]" in PAGE
     assert {"-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"} <= set(FLAGS)
 
