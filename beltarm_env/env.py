@@ -29,19 +29,21 @@ from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 _ARM = np.array([0])
-_array, _empty, _SINGLE = np.ndarray, np.empty, np.dtype(np.float32)  # looked up here, not at every step
-_HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
+_LEAST, _MOST = -1e300, 1e300  # comparing with them is the quickest way to tell a finite number
 
 
-def _as_action(action: object) -> Floats:
-    """Coerce the action to shape (1,), or raise ValueError."""
+def _checked(action: object) -> float:
+    """Return the number of an action, or raise ValueError."""
     try:
         array = np.asarray(action)
     except ValueError:
         array = np.empty(0)
     if array.shape != (1,) or array.dtype.kind not in "fiu":
         raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}")
-    return array.astype(np.float64)
+    fraction = float(array[0])
+    if not _LEAST < fraction < _MOST:
+        raise ValueError(f"action must be finite, got {action!r}")
+    return fraction
 
 
 class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -186,8 +188,9 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         self._max_episode_steps = EPISODE_STEPS * self.num_moves
         self._size = observation.size(sensors)
         self._ready = False  # reset at least once
-        self._move_ends = 0  # steps of the episode after which its move is over
+        self._move_ends = 0.0  # steps of the episode after which its move is over
         self._running = False  # within an episode
+        self._shown = self._render_mode == "human"
         self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
         self._steps: dict[Driven, Callable[..., Any]] = {}  # for each drive that an episode had
         self._renderer = None
@@ -211,7 +214,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         super().reset(seed=seed)
         self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
         self._ready = self._running = True
-        self._step_arm, self._move_ends = None, EPISODE_STEPS
+        self._step_arm, self._move_ends = None, float(EPISODE_STEPS)
         result = np.empty((1, self._size), np.float32)
         self._batch.observe(result)
         if self._renderer is not None:
@@ -231,19 +234,21 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             ValueError: If the action has another shape or is not finite.
         """
         step_arm = self._step_arm or self._prepared()
-        usual = type(action) is _array and action.dtype is _SINGLE and action.shape == (1,)
-        fraction: float = action.item() if usual else _as_action(action).item()
-        if not -_HUGE < fraction < _HUGE:
-            raise ValueError(f"action must be finite, got {action!r}")
-        result = _empty(self._size, _SINGLE)
-        reward, terminated, truncated, info = step_arm(fraction, result)
+        try:
+            (fraction,) = action.tolist()
+        except (AttributeError, TypeError, ValueError):
+            fraction = None
+        if not (type(fraction) is float and _LEAST < fraction < _MOST):
+            fraction = _checked(action)
+        result = step_arm(fraction)
+        observed, _, terminated, truncated, info = result
         if info["episode_steps"] == self._move_ends:
-            info |= self._end_move(result, terminated or truncated)
+            info |= self._end_move(observed, terminated or truncated)
         if terminated or truncated:
             self._running, self._step_arm = False, None
-        if self._render_mode == "human":
+        if self._shown:
             self.render()
-        return result, reward, terminated, truncated, info
+        return result
 
     def _end_move(self, result: Singles, over: bool) -> dict[str, float]:
         """Sum up the move that is over, begin the next one unless the episode is over too, and observe it."""
@@ -270,11 +275,11 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         batch = self._batch
         settings = batch.profile, batch.tier, batch.model, driven, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
-        observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, np.empty(self._size, np.float32))
+        observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, like=np.empty(self._size, np.float32))
 
-        def moved_by_engine(fraction: float, result: Singles) -> Any:
+        def moved_by_engine(fraction: float) -> Any:
             batch.advance_in_engine(np.array([fraction]))
-            return observed(fraction, result)
+            return observed(fraction)
 
         return observed if batch.engine is None else moved_by_engine
 

@@ -109,7 +109,7 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: 
     taken = _Taken(scope)
     names = [*inspect.signature(function).parameters, *("more" for _ in arguments)]
     values = [taken.value(name, argument) for name, argument in zip(names, arguments, strict=False)]
-    given = _Given(scope, {array.memory for array in taken.arrays})
+    given = _Given(scope, {array.memory for array in taken.arrays}, values[-1] if values else None)
     result = given.give(program.call(scope, function, values))
     text = "\n".join([*program.struct_texts, *program.used_tables(), *program.texts])
     lines = without_unused(scope)
@@ -178,6 +178,7 @@ class _Given:
 
     scope: Function
     arguments: set[str]  # memory that arguments are
+    last: Value | None  # argument
     code: str = ""
     slots: int = 0
 
@@ -221,6 +222,9 @@ class _Given:
         self._put(member, f"(int64_t)({number.code})" if letter == "L" else bare(number.code))
 
     def _array(self, array: Array) -> Any:
+        if array == self.last:
+            self.code += "o"
+            return None
         if array.memory in self.arguments:
             raise TranslationError("it returns a view of an argument: return a copy")
         if array.strides != arrays.contiguous(array.shape):

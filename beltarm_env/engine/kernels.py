@@ -23,6 +23,7 @@ from types import FunctionType
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beltarm_env.engine import building, library
 from beltarm_env.engine.entries import types_of
@@ -49,15 +50,24 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return function if PLAIN else cast("Callable[_P, _R]", Kernel(function))
 
 
-def bound(kernel: Callable[..., _R], first: tuple[Any, ...], *others: Any) -> Callable[..., _R]:
+def bound(
+    kernel: Callable[..., _R], first: tuple[Any, ...], *others: Any, like: NDArray[Any] | None = None
+) -> Callable[..., _R]:
     """Return what runs a kernel behind its first arguments in the least time, as `functools.partial` would.
 
     Args:
         kernel: So short that other threads of Python may wait for it.
         first: Arguments, which are looked at now: their arrays keep memory, shape and flags.
         *others: Of the types that all further ones will have.
+        like: An array: the last argument is a new one like it in each call, and its caller leaves it out.
     """
-    return kernel.bound(first, others) if isinstance(kernel, Kernel) else partial(kernel, *first)
+    if isinstance(kernel, Kernel):
+        return kernel.bound(first, others, like)
+    return _with_new(partial(kernel, *first), like)
+
+
+def _with_new(run: Callable[..., _R], like: NDArray[Any] | None) -> Callable[..., _R]:
+    return run if like is None else lambda *others: run(*others, np.empty_like(like))
 
 
 @cache
@@ -122,10 +132,12 @@ class Kernel:
         """Name what a copy is: the function of that name in its module."""
         return self.py_func.__qualname__
 
-    def bound(self, first: tuple[Any, ...], others: tuple[Any, ...]) -> Callable[..., Any]:
+    def bound(self, first: tuple[Any, ...], others: tuple[Any, ...], like: NDArray[Any] | None) -> Callable[..., Any]:
         """Return what runs it behind its first arguments, see `bound`."""
-        variant = self._variant((*first, *others))
-        return partial(self._in_python, *first) if variant is None else self._compiled.bind(variant, first)
+        variant = self._variant((*first, *others) if like is None else (*first, *others, like))
+        if variant is None:
+            return _with_new(partial(self._in_python, *first), like)
+        return self._compiled.bind(variant, first, like)
 
     def share(self, threads: int, arguments: tuple[Any, ...]) -> None:
         """Run it in several threads, see `in_threads`."""

@@ -240,7 +240,7 @@ def step_arm(
     integrate: bool,
     action: float,
     observation: Singles,
-) -> tuple[float, bool, bool, dict[str, float]]:
+) -> tuple[Singles, float, bool, bool, dict[str, float]]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
     Args:
@@ -256,8 +256,8 @@ def step_arm(
         observation: Written in place, shape (size,).
 
     Returns:
-        Reward, terminated, truncated, and what the environment tells in its `info`. Totals are among it in every step,
-        because a wrapper may end the episode.
+        The observation, reward, terminated, truncated, and what the environment tells in its `info`: totals, too, in
+        every step, because a wrapper may end the episode.
     """
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
     _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
@@ -276,4 +276,5 @@ def step_arm(
         "tip_error_rms": rms,
         "tip_error_max": largest,
     }
-    return float(scratch[REWARD * LANES]), terminated, bool(scratch[TRUNCATED * LANES] != 0.0), info
+    truncated = bool(scratch[TRUNCATED * LANES] != 0.0)
+    return observation, float(scratch[REWARD * LANES]), terminated, truncated, info

@@ -109,9 +109,10 @@ class Calls:
 def recorded_calls() -> Iterator[Calls]:
     calls, call, bound = Calls(), Kernel.__call__, Kernel.bound
 
-    def recorded_too(kernel: Kernel, first: tuple[Any, ...], others: tuple[Any, ...]) -> Callable[..., Any]:
-        run = bound(kernel, first, others)
-        return partial(calls.recorded(kernel, lambda *arguments: run(*arguments[len(first) :])), *first)
+    def recorded_too(kernel: Kernel, first: tuple[Any, ...], others: tuple[Any, ...], like: Any) -> Callable[..., Any]:
+        run = bound(kernel, first, others if like is None else (*others, like), None)
+        call = partial(calls.recorded(kernel, lambda *arguments: run(*arguments[len(first) :])), *first)
+        return call if like is None else lambda *arguments: call(*arguments, np.empty_like(like))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Kernel, "__call__", lambda self, *a, **n: calls.recorded(self, call.__get__(self))(*a, **n))

@@ -65,7 +65,7 @@ static PyObject *run(const Variant *v, Call *c, int threads)
     if (state) PyEval_RestoreThread(state);
     release_arrays(c);
     if (room != small) PyMem_Free(room);
-    if (text == NULL) return result_of(v, c->out);
+    if (text == NULL) return result_of(v, c);
     free_new_arrays(v, c->out);
     return PyErr_Format(PyExc_ValueError, "%s", text);
 }
@@ -75,10 +75,10 @@ static void lay_out(const Variant *v, Call *c, void *room)
 {
     c->r = room;
     c->n = (int64_t *)(c->r + v->reals);
-    c->out = (Slot *)(c->n + v->wholes);
-    c->buffers = (Py_buffer *)(c->out + v->slots);
-    c->p = (void **)(c->buffers + v->arrays);
+    c->p = (void **)(c->n + v->wholes);
     c->tuples = (PyObject **)(c->p + v->arrays);
+    c->out = (Slot *)(c->tuples + v->count);
+    c->buffers = (Py_buffer *)(c->out + v->slots);
 }
 
 /* Call a variant if it takes the arguments, behind bound ones if there are some. Returns whether it does; then there is
@@ -96,9 +96,10 @@ static bool attempt(const Variant *v, const Call *bound, PyObject *const *argume
     if (bound) {
         c = *bound;
         c.held = 0; /* what is held of bound arguments is held on */
-        memcpy(room, bound->r, v->room);
+        memcpy(room, bound->r, v->kept);
     }
     lay_out(v, &c, room);
+    if (count > 0) c.last = arguments[count - 1];
     Py_ssize_t failed = c.bound + count == v->arguments ? unpack(v, &c, arguments, count) : v->count;
     if (failed == DONE) *result = run(v, &c, threads);
     else release_arrays(&c);
@@ -164,8 +165,16 @@ static PyObject *kernel_share(PyObject *self, PyObject *const *arguments, Py_ssi
 static PyObject *bound_call(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
 {
     const Bound *b = (const Bound *)self;
-    PyObject *result = NULL;
-    attempt((const Variant *)b->variant, &b->c, arguments, count, 0, true, &result);
+    const Variant *v = (const Variant *)b->variant;
+    PyObject *result = NULL, *all[MAX_BOUND];
+    if (b->like == NULL || count >= MAX_BOUND) {
+        attempt(v, &b->c, arguments, count, 0, true, &result);
+        return result;
+    }
+    for (Py_ssize_t k = 0; k < count; ++k) all[k] = arguments[k];
+    if ((all[count] = array_like(b->like)) == NULL) return NULL;
+    attempt(v, &b->c, all, count + 1, 0, true, &result);
+    Py_DecRef(all[count]);
     return result;
 }
 
@@ -226,6 +235,8 @@ static void variant_delete(PyObject *self)
     drop(&v->constants);
     drop(&v->finish);
     drop(&v->dict);
+    PyMem_Free(v->keys);
+    PyMem_Free(v->entries);
     PyMem_Free(v->nodes);
     PyMem_Free(v->returns);
     delete_object(self);
@@ -244,6 +255,7 @@ static void bound_delete(PyObject *self)
     PyMem_Free(b->c.r);
     drop(&b->arguments);
     drop(&b->variant);
+    drop(&b->like);
     delete_object(self);
 }
 
@@ -294,9 +306,9 @@ static PyObject *kernel_add(PyObject *self, PyObject *arguments)
 static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
 {
     static PyMethodDef call = {"bound", (PyCFunction)(void (*)(void))bound_call, METH_FASTCALL, NULL};
-    PyObject *objects[MAX_BOUND], *arguments, *function = NULL;
+    PyObject *objects[MAX_BOUND], *arguments, *like = Py_None, *function = NULL;
     Py_ssize_t i, failed;
-    if (!PyArg_ParseTuple(numbered, "nO!:bind", &i, &PyTuple_Type, &arguments)) return NULL;
+    if (!PyArg_ParseTuple(numbered, "nO!|O:bind", &i, &PyTuple_Type, &arguments, &like)) return NULL;
     if (!is_whole_kernel((Kernel *)self)) return NULL;
     PyObject *variant = PyList_GetItem(((Kernel *)self)->variants, i);
     Bound *b = variant ? (Bound *)new_object(types_of(self)->bound) : NULL;
@@ -304,6 +316,7 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
     const Variant *v = (const Variant *)variant;
     Py_IncRef(b->variant = variant);
     Py_IncRef(b->arguments = arguments);
+    if (like != Py_None) Py_IncRef(b->like = like);
     Py_ssize_t count = PyTuple_Size(arguments);
     void *room = PyMem_Calloc(1, v->room);
     if (room == NULL) {
@@ -314,7 +327,9 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
         for (Py_ssize_t k = 0; k < count; ++k) objects[k] = PyTuple_GetItem(arguments, k);
         failed = unpack(v, &b->c, objects, count);
         if (failed != DONE) refuse(v, &b->c, failed, objects, count);
-        else b->c.bound = count, function = PyCFunction_NewEx(&call, (PyObject *)b, NULL);
+        else function = PyCFunction_NewEx(&call, (PyObject *)b, NULL);
+        b->c.bound = count;
+        b->c.last = count > 0 ? objects[count - 1] : NULL;
     }
     Py_DecRef((PyObject *)b);
     return function;
@@ -379,6 +394,7 @@ static PyObject *module_know_arrays(PyObject *self, PyObject *arrays)
     if (same && type != NULL) {
         Py_IncRef((PyObject *)type);
         array_type = type;
+        new_from_descr = find_new_from_descr();
     }
     return PyBool_FromLong(same && type != NULL);
 }

@@ -23,6 +23,9 @@ typedef struct {
     int type_num;
 } DescrFields;
 enum { NPY_ARRAY_WRITEABLE = 0x400 };
+typedef PyObject *(*NewFromDescr)(PyTypeObject *, PyObject *, int, const Py_ssize_t *, const Py_ssize_t *, void *, int,
+                                  PyObject *);
+enum { NEW_FROM_DESCR = 94 }; /* its place in NumPy's table of functions */
 
 /* An array, as NumPy or a buffer shows it */
 typedef struct {
@@ -34,6 +37,7 @@ typedef struct {
 } View;
 
 static PyTypeObject *array_type; /* NumPy's, once its layout is known to be this one */
+static NewFromDescr new_from_descr;
 
 static char type_of_descr(const DescrFields *descr)
 {
@@ -59,6 +63,27 @@ static bool view_of_array(PyObject *object, View *view)
     if (Py_TYPE(object) != array_type) return false;
     *view = read_array_fields(object);
     return true;
+}
+
+/* Make a new array of the type and shape of another, whose layout is C's; what it holds is not set. */
+static PyObject *array_like(PyObject *object)
+{
+    const ArrayFields *a = (const ArrayFields *)object;
+    if (Py_TYPE(object) != array_type || new_from_descr == NULL) return PyObject_CallMethod(object, "copy", NULL);
+    Py_IncRef(a->descr); /* which is taken */
+    return new_from_descr(array_type, a->descr, a->nd, a->dimensions, NULL, NULL, 0, NULL);
+}
+
+/* Find what makes arrays, where extensions find it that are compiled with NumPy's headers. */
+static NewFromDescr find_new_from_descr(void)
+{
+    PyObject *module = PyImport_ImportModule("numpy._core._multiarray_umath");
+    PyObject *capsule = module ? PyObject_GetAttrString(module, "_ARRAY_API") : NULL;
+    void **functions = capsule ? PyCapsule_GetPointer(capsule, NULL) : NULL;
+    if (functions == NULL) PyErr_Clear();
+    if (capsule) Py_DecRef(capsule);
+    if (module) Py_DecRef(module);
+    return functions ? (NewFromDescr)functions[NEW_FROM_DESCR] : NULL;
 }
 
 #endif

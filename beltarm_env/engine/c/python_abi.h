@@ -114,6 +114,9 @@ PY_IMPORT PyObject *PyUnicode_FromString(const char *), *PyUnicode_FromFormat(co
 PY_IMPORT int PyObject_CheckBuffer(PyObject *), PyObject_GetBuffer(PyObject *, Py_buffer *, int);
 PY_IMPORT void PyBuffer_Release(Py_buffer *);
 PY_IMPORT PyObject *PyObject_CallObject(PyObject *, PyObject *), *PyObject_CallFunctionObjArgs(PyObject *, ...);
+PY_IMPORT PyObject *PyObject_CallMethod(PyObject *, const char *, const char *, ...);
+PY_IMPORT PyObject *PyImport_ImportModule(const char *), *PyObject_GetAttrString(PyObject *, const char *);
+PY_IMPORT void *PyCapsule_GetPointer(PyObject *, const char *);
 PY_IMPORT PyObject *PyCFunction_NewEx(PyMethodDef *, PyObject *, PyObject *);
 PY_IMPORT int PyType_IsSubtype(PyTypeObject *, PyTypeObject *);
 PY_IMPORT unsigned long PyType_GetFlags(PyTypeObject *);

@@ -41,54 +41,56 @@ static PyObject *new_array(const char *s, const Slot *out)
     return NULL;
 }
 
+/* What of results is still to be made */
+typedef struct {
+    const char *s;
+    const Slot *out;
+    const Py_ssize_t *entries; /* of the tuples */
+    PyObject *last;            /* argument */
+} Results;
+
 /* Fill a copy of the prepared dict, which need not grow. */
-static PyObject *new_dict(PyObject *keys, const char **s, const Slot **out)
+static PyObject *new_dict(const Variant *v, Results *left)
 {
-    PyObject *dict = PyDict_Copy(keys), *key, *value;
-    Py_ssize_t at = 0;
-    while (dict && PyDict_Next(keys, &at, &key, NULL)) {
-        value = new_number(*(*s)++, (*out)++);
-        if (value == NULL || PyDict_SetItem(dict, key, value) != 0) {
+    PyObject *dict = PyDict_Copy(v->dict);
+    for (PyObject **key = v->keys; dict && *left->s != '}'; ++key) {
+        PyObject *value = new_number(*left->s++, left->out++);
+        if (value == NULL || PyDict_SetItem(dict, *key, value) != 0) {
             Py_DecRef(dict);
             dict = NULL;
         }
         if (value) Py_DecRef(value);
     }
-    ++*s;
+    ++left->s;
     return dict;
 }
 
 /* Make Python's object of a result, and go on to what is behind it. */
-static PyObject *make(const Variant *v, const char **s, const Slot **out)
+static PyObject *make(const Variant *v, Results *left)
 {
-    const char *at = *s;
-    const Slot *slot = *out;
-    *s = behind(at);
+    const char *at = left->s;
+    const Slot *slot = left->out;
+    left->s = behind(at);
     if (*at == '(') {
-        Py_ssize_t entries = 0;
-        int depth = 0;
-        for (const char *next = *s; depth > 0 || *next != ')'; next = behind(next)) {
-            if (closes(*next)) --depth;
-            else if (depth == 0) ++entries;
-            if (opens(*next)) ++depth;
-        }
+        Py_ssize_t entries = *left->entries++;
         PyObject *tuple = PyTuple_New(entries);
         for (Py_ssize_t k = 0; tuple && k < entries; ++k) {
-            PyObject *entry = make(v, s, out);
+            PyObject *entry = make(v, left);
             if (entry == NULL || PyTuple_SetItem(tuple, k, entry) != 0) {
                 Py_DecRef(tuple);
                 return NULL;
             }
         }
-        ++*s;
+        ++left->s;
         return tuple;
     }
-    if (*at == '0') {
-        Py_IncRef(Py_None);
-        return Py_None;
+    if (*at == '0' || *at == 'o') {
+        PyObject *same = *at == 'o' ? left->last : Py_None;
+        Py_IncRef(same);
+        return same;
     }
-    if (*at == '{') return new_dict(v->dict, s, out);
-    *out += *at == 'A' ? 1 + (at[2] - '0') : 1;
+    if (*at == '{') return new_dict(v, left);
+    left->out += *at == 'A' ? 1 + (at[2] - '0') : 1;
     return *at == 'A' ? new_array(at, slot) : new_number(*at, slot);
 }
 
@@ -97,16 +99,15 @@ static void free_new_arrays(const Variant *v, const Slot *out)
 {
     for (const char *s = v->returns; v->allocates && *s; s = behind(s)) {
         if (*s == 'A') free(out->p);
-        out += *s == 'A' ? 1 + (s[2] - '0') : opens(*s) || closes(*s) || *s == '0' ? 0 : 1;
+        out += *s == 'A' ? 1 + (s[2] - '0') : opens(*s) || closes(*s) || *s == '0' || *s == 'o' ? 0 : 1;
     }
 }
 
-static PyObject *result_of(const Variant *v, const Slot *out)
+static PyObject *result_of(const Variant *v, const Call *c)
 {
-    const char *s = v->returns;
-    const Slot *next = out;
-    PyObject *result = make(v, &s, &next);
-    free_new_arrays(v, out);
+    Results all = {v->returns, c->out, v->entries, c->last};
+    PyObject *result = make(v, &all);
+    free_new_arrays(v, c->out);
     if (result == NULL || v->finish == NULL) return result;
     PyObject *finished = PyObject_CallFunctionObjArgs(v->finish, result, NULL);
     Py_DecRef(result);

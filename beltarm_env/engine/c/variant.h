@@ -4,7 +4,8 @@
  * tuple whose type is the next constant, a an array, followed by the type of its entries (float64 d, float32 f, int64
  * l, uint64 L, int8 b, uint8 B, bool ?), its number of axes, and its layout: c contiguous, s strided, in capitals if
  * read-only. What is returned is described alike: with L for a whole number without a sign, A, a type and a number of
- * axes for a new array, which the entry allocates, and {one,two:...} for a dict with these keys. */
+ * axes for a new array, which the entry allocates, {one,two:...} for a dict with these keys, and o for the last
+ * argument itself. */
 #ifndef BELTARM_VARIANT_H
 #define BELTARM_VARIANT_H
 
@@ -36,9 +37,11 @@ typedef struct {
     Node *nodes;
     char *returns;
     PyObject *constants, *finish;
-    PyObject *dict; /* a dict of results, with its keys alone; NULL without one */
+    PyObject *dict;      /* a dict of results, with its keys alone; NULL without one */
+    PyObject **keys;     /* these */
+    Py_ssize_t *entries; /* how many each tuple of results has, in the order of the tuples */
     Py_ssize_t count, arguments, arrays, reals, wholes, slots; /* count: of nodes */
-    size_t room;                                               /* bytes that a call needs */
+    size_t room, kept; /* bytes that a call needs, and those of them that its arguments fill */
     bool allocates;                                            /* whether new arrays are among the results */
 } Variant;
 
@@ -50,6 +53,7 @@ typedef struct {
     Py_buffer *buffers;
     void **p;
     PyObject **tuples; /* at the index of their node */
+    PyObject *last;    /* argument */
     Py_ssize_t held;   /* number of buffers that are held */
     Py_ssize_t bound;  /* number of first arguments that were unpacked before, and what they have filled: */
     Py_ssize_t nodes, reals, wholes, arrays;
@@ -60,6 +64,7 @@ typedef struct {
 typedef struct {
     PyObject head;
     PyObject *variant, *arguments;
+    PyObject *like; /* the last argument is a new array like this one in each call; NULL if the call has it */
     Call c;
 } Bound;
 
@@ -143,23 +148,30 @@ static const char *read_keys(Variant *v, const char *s)
     }
     Py_ssize_t numbers = (Py_ssize_t)strspn(s, "dnbL");
     v->slots += numbers;
-    return numbers == PyDict_Size(v->dict) && s[numbers] == '}' ? s + numbers : NULL;
+    if (numbers != PyDict_Size(v->dict) || s[numbers] != '}') return NULL;
+    if ((v->keys = PyMem_Calloc((size_t)numbers, sizeof(PyObject *))) == NULL) return NULL;
+    for (Py_ssize_t k = 0, at = 0; PyDict_Next(v->dict, &at, &v->keys[k], NULL);) ++k;
+    return s + numbers;
 }
 
 /* Read what a variant returns. Returns NULL, or what is wrong. */
 static const char *read_results(Variant *v, const char *s)
 {
-    int depth = 0, results = 0;
+    Py_ssize_t depth = 0, results = 0, tuples = 0, *held_by[MAX_DEPTH + 1] = {&results};
     for (; *s; ++s) {
-        results += depth == 0;
+        if (*s != ')') ++*held_by[depth];
         switch (*s) {
         case '0': break;
+        case 'o':
+            if (v->arguments == 0) return "there is no last argument";
+            break;
         case 'd':
         case 'n':
         case 'b':
         case 'L': v->slots += 1; break;
         case '(':
             if (++depth > MAX_DEPTH) return "tuples are nested too deeply";
+            held_by[depth] = &v->entries[tuples++];
             break;
         case ')':
             if (--depth < 0) return "a bracket is closed that was not opened";
@@ -193,7 +205,8 @@ static bool set_up(Variant *v, const char *spec, const char *returns)
     const char *wrong;
     v->nodes = PyMem_Calloc(strlen(spec) + 1, sizeof(Node)); /* each node has a character or more */
     v->returns = copy_of(returns);
-    if (v->nodes == NULL || v->returns == NULL) {
+    v->entries = PyMem_Calloc(strlen(returns) + 1, sizeof(Py_ssize_t));
+    if (v->nodes == NULL || v->returns == NULL || v->entries == NULL) {
         PyErr_NoMemory();
         return false;
     }
@@ -208,8 +221,8 @@ static bool set_up(Variant *v, const char *spec, const char *returns)
     char *keys = strchr(v->returns, '{');
     if (keys) memmove(keys + 1, strchr(keys, ':') + 1, strlen(strchr(keys, ':'))); /* from now on a result is one letter */
     v->allocates = strchr(v->returns, 'A') != NULL;
-    v->room = sizeof(double) * (size_t)(v->reals + v->wholes + v->slots) +
-              (sizeof(Py_buffer) + sizeof(void *)) * (size_t)v->arrays + sizeof(PyObject *) * (size_t)v->count;
+    v->kept = sizeof(double) * (size_t)(v->reals + v->wholes) + sizeof(void *) * (size_t)(v->arrays + v->count);
+    v->room = v->kept + sizeof(Slot) * (size_t)v->slots + sizeof(Py_buffer) * (size_t)v->arrays;
     return true;
 }
 
