@@ -1,7 +1,7 @@
 """What each step from the controller of 1991 to the best classical one brings on a working shift, and learning then.
 
 Every controller of the chain has one thing more than the one before; all make the same moves with the same arms, drives
-and parts of a shift.
+and parts of a shift. Beside them is the least attainable cost of the first arms.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,10 @@ from matplotlib.figure import Figure
 from agents.policy.bundle import POLICIES, load_controller
 from baselines import CONTROLLERS
 from baselines.tools.progress import progress_over
+from baselines.yardsticks.clairvoyant import shift_optimum
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
@@ -29,7 +31,9 @@ from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
-QUICK = {"arms": 4, "moves": 2}
+GUESSES = ("adaptive", PRIVILEGED)
+"""Controllers of the chain with whose torques the search for the optimum begins."""
+QUICK = {"arms": 4, "moves": 2, "optima": 1}
 
 _TIMING = ("delay", "lag")
 _TURNING = ("variation", "excess", "stiffening")
@@ -41,12 +45,14 @@ _GIVING = ("giving",)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 10_000), moves=(2, 100))
+    bounds = Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000))
 
     arms: int = 64
     """Number of arms, 4 to 10000."""
     moves: int = 8
     """Moves of each, 2 to 100."""
+    optima: int = 10
+    """How many of the arms, the first ones, get the clairvoyant optimum too, 1 to 10000."""
 
 
 class Step(NamedTuple):
@@ -99,13 +105,16 @@ ASIDE = (
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Averages of every step's metrics over the moves of the arms."""
-    rows, moved = list[dict[str, Any]](), None
+    """Averages of every step's metrics over the moves of the arms, and of the optimum's cost."""
+    rows, moved, made = list[dict[str, Any]](), None, dict[str, Recording]()
+    first = min(options.optima, options.arms)
     task = {"seed": LOOPS.first, "randomization": "train", "moves": options.moves}
     for step in progress_over("steps", (*CHAIN, *ASIDE)):
         sensors = "full" if step.controller == PRIVILEGED else "encoder"
         runs = [rollout(controller, options.arms, sensors=sensors, **task) for controller in step.make(moved)]
         moved, cost = moved or runs[0], np.stack([run.cost for run in runs])
+        if step in CHAIN:
+            made[step.controller] = runs[0]
         metrics = [run.metrics() for run in runs]
         still = np.concatenate([row["still_s"] for row in metrics])
         rows.append(
@@ -119,15 +128,28 @@ def measure(options: Options) -> dict[str, Any]:
                 "still": {"median": np.median(still), "late": np.percentile(still, 95)},
                 "mean": cost.mean(),
                 "worst": worst_mean(cost),
+                "first_arms": _averages(cost.reshape(-1, options.arms)[:, :first]),
                 "left": np.mean([np.sum(~run.finished[-options.arms :]) for run in runs]),
             }
         )
-    return {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first, "rows": rows}
+    shifts = [shift_optimum(*(made[name].arm(k) for name in GUESSES)) for k in progress_over("optima", range(first))]
+    optimum = {"arms": first, **_averages(np.array([[best.cost for best in shift] for shift in shifts]))}
+    about = {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first}
+    return about | {"rows": rows, "optimum": optimum}
+
+
+def _averages(cost: Floats) -> dict[str, float]:
+    """Interquartile mean and mean of costs."""
+    return {"cost": average("cost", cost.ravel()), "mean": cost.mean()}
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Metrics of the table."""
-    return {"shown": SHOWN}
+    """Metrics of the table, and by name the methods beside the optimum: each as its last step of the chain has it."""
+    return {"shown": SHOWN, "methods": {row["controller"]: row for row in sorted(data["rows"], key=_in_chain)}}
+
+
+def _in_chain(row: dict[str, Any]) -> bool:
+    return row["chain"]
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
