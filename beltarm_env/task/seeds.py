@@ -43,7 +43,7 @@ OBSERVER = SeedRange(4_500_000, 400_000)
 FAULTS = SeedRange(4_900_000, 10_000)
 """Arms of which something breaks in mid-move."""
 GAIN_SEARCH = SeedRange(5_000_000, 500_000)
-"""Trials of the gains' tuner; the clairvoyant optimum's scenarios are among them."""
+"""Trials of the gains' tuner."""
 GAIN_CHOICE = SeedRange(5_500_000, 500_000)
 """Choice among the tuner's best."""
 PAPER_MOVES = SeedRange(6_000_000, 300)
@@ -55,7 +55,7 @@ PROTOCOL_CHECK = SeedRange(6_900_000, 5)
 VALIDATION = SeedRange(7_000_000, 500_000)
 """Validation of training runs: checkpoints and settings are chosen on these."""
 LOOPS = SeedRange(7_500_000, 100_000)
-"""Costs and times of the classical controllers."""
+"""Costs and times of the classical controllers, and the clairvoyant optimum."""
 FIRST_EDITION = SeedRange(8_000_000, 200_000)
 """Test scenarios of the comparison's first edition: known to all since, so that nothing else draws from them."""
 DEVELOPMENT = SeedRange(8_600_000, 100_000)

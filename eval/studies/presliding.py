@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from matplotlib.figure import Figure
 
-from baselines.yardsticks.oracle import Replay
+from baselines.yardsticks.clairvoyant import Replay
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats

@@ -1,7 +1,7 @@
 """What each step from the controller of 1991 to the best classical one brings on a working shift, and learning then.
 
 Every controller of the chain has one thing more than the one before; all make the same moves with the same arms, drives
-and parts of a shift.
+and parts of a shift. Beside them is the least attainable cost of the first arms.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +18,10 @@ from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.tools.progress import progress_over
+from baselines.yardsticks.clairvoyant import shift_optimum
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
@@ -32,7 +34,9 @@ from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
-QUICK = {"arms": 4, "moves": 2}
+GUESSES = ("adaptive", PRIVILEGED)
+"""Controllers of the chain with whose torques the search for the optimum begins."""
+QUICK = {"arms": 4, "moves": 2, "optima": 1}
 
 _TIMING = ("delay", "lag")
 _TURNING = ("variation", "excess", "stiffening")
@@ -44,12 +48,14 @@ _GIVING = ("giving",)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 10_000), moves=(2, 100))
+    bounds = Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000))
 
     arms: int = 64
     """Number of arms, 4 to 10000."""
     moves: int = 8
     """Moves of each, 2 to 100."""
+    optima: int = 10
+    """How many of the arms, the first ones, get the clairvoyant optimum too, 1 to 10000."""
 
 
 class Step(NamedTuple):
@@ -114,21 +120,28 @@ TWO_LINKS = (
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Averages of every step's metrics over the moves of the arms, and of some over those of arms of two links."""
-    both = {
-        "rows": _rows((*CHAIN, *ASIDE), options),
-        "two_links": _rows(TWO_LINKS, options, model="lagrangian"),
-    }
-    return {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first, **both}
+    """Averages of every step's metrics, of those of arms of two links, and of the optimum's cost."""
+    rows, made = _rows((*CHAIN, *ASIDE), options)
+    two_links, _ = _rows(TWO_LINKS, options, model="lagrangian")
+    first = range(min(options.optima, options.arms))
+    shifts = [shift_optimum(*(made[name].arm(k) for name in GUESSES)) for k in progress_over("optima", first)]
+    optimum = {"arms": len(first), **_averages(np.array([[best.cost for best in shift] for shift in shifts]))}
+    about = {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first}
+    return about | {"rows": rows, "two_links": two_links, "optimum": optimum}
 
 
-def _rows(steps: Sequence[Step], options: Options, **settings: Any) -> list[dict[str, Any]]:
-    rows, moved = list[dict[str, Any]](), None
+def _rows(
+    steps: Sequence[Step], options: Options, **settings: Any
+) -> tuple[list[dict[str, Any]], dict[str, Recording]]:
+    """Averages of each step over the moves of the arms, and by controller the last run in the chain."""
+    rows, moved, made = list[dict[str, Any]](), None, dict[str, Recording]()
     task = {"seed": LOOPS.first, "randomization": "train", "moves": options.moves, **settings}
     for step in progress_over("steps", steps):
         sensors = "full" if step.controller == PRIVILEGED else "encoder"
         runs = [rollout(controller, options.arms, sensors=sensors, **task) for controller in step.make(moved)]
         moved, cost = moved or runs[0], np.stack([run.cost for run in runs])
+        if step in CHAIN:
+            made[step.controller] = runs[0]
         metrics = [run.metrics() for run in runs]
         still = np.concatenate([row["still_s"] for row in metrics])
         rows.append(
@@ -142,15 +155,25 @@ def _rows(steps: Sequence[Step], options: Options, **settings: Any) -> list[dict
                 "still": {"median": np.median(still), "late": np.percentile(still, 95)},
                 "mean": cost.mean(),
                 "worst": worst_mean(cost),
+                "first_arms": _averages(cost.reshape(-1, options.arms)[:, : options.optima]),
                 "left": np.mean([np.sum(~run.finished[-options.arms :]) for run in runs]),
             }
         )
-    return rows
+    return rows, made
+
+
+def _averages(cost: Floats) -> dict[str, float]:
+    """Interquartile mean and mean of costs."""
+    return {"cost": average("cost", cost.ravel()), "mean": cost.mean()}
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Metrics of the table."""
-    return {"shown": SHOWN}
+    """Metrics of the table, and by name the methods beside the optimum: each as its last step of the chain has it."""
+    return {"shown": SHOWN, "methods": {row["controller"]: row for row in sorted(data["rows"], key=_in_chain)}}
+
+
+def _in_chain(row: dict[str, Any]) -> bool:
+    return row["chain"]
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

@@ -1,26 +1,21 @@
 """Plans: optimal for their linear problem, improved for the task's own cost, made anew; and those of oracles."""
 
 import math
-from dataclasses import astuple
+from dataclasses import asdict, astuple
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import mistake
 from numpy.typing import NDArray
 from refusals import refused
 
-from baselines import PaperController, tuned_controller
+from baselines import tuned_controller
 from baselines.models.linear import at_angle, linear_arm
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.optimal.mpc import MpcController
-from baselines.oracle import main
 from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, planned, planned_torque, problem_of
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.planning.task_plan import PlanRoom, Start, _cost, plan_task
-from baselines.yardsticks.clairvoyant import optimum
-from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
+from baselines.yardsticks.clairvoyant import Replay, optimum, shift_optimum
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_table, plant_of
@@ -175,27 +170,13 @@ class TestReplanning:
         assert costs[1] < costs[0]
 
 
-def test_stored_torques_cost_what_is_stored_and_no_controller_costs_less():
-    contents, scenarios, actions = read_file()
-    metrics = replay(scenarios, actions).metrics()
-    for name in METRICS:
-        np.testing.assert_allclose([row[name] for row in contents["scenarios"]], metrics[name], rtol=1e-3, atol=1e-3)
-    assert FILE.stat().st_size < 200_000 and "baselines/oracle.py" in contents["command"]
-    for scenario in scenarios:
-        assert Scenario.parse(f"{scenario.kind}:{scenario.seed}") == scenario
-    least = np.array([row["cost"] for row in contents["scenarios"]])
-    assert [row["optimiser_cost"] for row in contents["scenarios"]] == pytest.approx(least, rel=1e-6)
-    assert (least < [row["privileged_cost"] for row in contents["scenarios"]]).all()
-    for controller in (PaperController(), MpcController(), tuned_controller("adaptive")):
-        assert (least < run(controller, scenarios).cost).all()
-
-
-def costs_of_beginnings(scenario: Scenario, actions: np.ndarray) -> np.ndarray:
+def costs_of_beginnings(params: ArmParams, move: MoveShape, actions: np.ndarray) -> np.ndarray:
     """Costs of the first T samples of n episodes, replayed, under actions of shape (n, T)."""
-    steps = actions.shape[1]
-    whole = np.zeros((len(actions), EPISODE_STEPS), np.float32)
+    count, steps = actions.shape
+    whole = np.zeros((count, EPISODE_STEPS), np.float32)
     whole[:, :steps] = actions
-    played = replay([scenario] * len(actions), whole)
+    options = {"params": asdict(params), "move": move._asdict()}
+    played = rollout(Replay(whole), count, seed=0, options=options)
     tip, speed = (np.linalg.norm(e[:steps], axis=2).sum(axis=0) for e in (played.tip_error, played.tip_velocity_error))
     change = np.abs(np.diff(whole[:, :steps].astype(np.float64), prepend=0)).sum(axis=1)
     return tip / 0.01 + speed / 0.2 + 0.1 * change
@@ -207,23 +188,39 @@ def test_a_short_problem_ends_at_the_least_cost_from_anywhere():
     for share in (0.3, 1.0):
         actual = optimum(ArmParams(), move, np.full(120, share))
         assert actual.cost == pytest.approx(60.6444, rel=1e-4)
-        replayed = costs_of_beginnings(Scenario("nominal", 0, ArmParams(), move), actual.actions[None])
+        replayed = costs_of_beginnings(ArmParams(), move, actual.actions[None])
         assert replayed == pytest.approx(actual.cost, rel=1e-9)
 
 
 def test_a_drive_is_met_as_it_is_built():
     """With stick and slip, latency and all, the cost is that of the replay, and torques nearby cost more."""
-    scenario, rng = Scenario.parse("train:5000004"), np.random.default_rng(0)
-    actual = optimum(scenario.params, scenario.move, np.full(120, 0.5))
+    env, rng = BeltArmVectorEnv(1, randomization="train"), np.random.default_rng(0)
+    env.reset(seed=5_000_004)
+    (params,), (move,) = env.params, [MoveShape(*row) for row in env.moves.tolist()]
+    actual = optimum(params, move, np.full(120, 0.5))
     knots = rng.normal(0, 1, (60, 13)) * np.logspace(-4, -1, 60)[:, None]
     nearby = [actual.actions + np.interp(np.arange(120), np.arange(0, 130, 10), row) for row in knots]
-    costs = costs_of_beginnings(scenario, np.clip([actual.actions, *nearby], -1, 1))
+    costs = costs_of_beginnings(params, move, np.clip([actual.actions, *nearby], -1, 1))
     assert costs[0] == pytest.approx(actual.cost, rel=1e-9)
     assert costs[1:].min() > 0.999 * actual.cost
 
 
-def test_unknown_scenario_is_one_line(tmp_path: Path):
-    assert "--scenario" in mistake(main, ("--scenario", "test:3"), tmp_path)
+def test_torques_of_a_shift_cost_the_same_when_they_are_replayed_and_no_controller_costs_less():
+    """The second move begins with the state and the command with which the optimum of the first one ended.
+
+    From the torques of `privileged` alone, its search ends at 149; from those of `adaptive` at 128.
+    """
+    task = {"num_arms": 1, "seed": 8, "randomization": "train", "moves": 2}
+    tuned = rollout(tuned_controller("adaptive"), **task)
+    arms = [[ArmParams.from_row(row)] for row in tuned.params]
+    known = rollout(PrivilegedController(*arms), sensors="full", **task)
+    found = shift_optimum(known, tuned)
+    replayed = rollout(Replay(np.concatenate([best.actions for best in found])[None]), **task)
+    least = [best.cost for best in found]
+    np.testing.assert_array_equal(replayed.params, tuned.params)
+    np.testing.assert_array_equal(replayed.state[-1], [best.end[:4] for best in found])
+    assert replayed.cost == pytest.approx(least, rel=1e-9)
+    assert found[0].actions[-1] != 0 and (least < tuned.cost).all() and (least < known.cost).all()
 
 
 def test_who_knows_arm_and_equations_costs_less_and_the_privileged_one_knows_its_own_arms_alone():

@@ -53,7 +53,7 @@ def measure(options: Options) -> dict[str, Any]:
     """Everything about the chosen controllers; `ORACLE`, the last, has costs alone.
 
     Raises:
-        ValueError: If a name is unknown, or a file of gains or of the optimum is damaged.
+        ValueError: If a name is unknown, or the file of gains is damaged.
     """
     names = chosen("controller", options.names, CONTROLLERS)
     rows = {}
@@ -73,7 +73,6 @@ def measure(options: Options) -> dict[str, Any]:
         "asked": {"modulus": MarginCondition().modulus, "delay": MarginCondition().delay},
         "controllers": rows,
         "gains": {name: gains(name) for name in names},
-        "optimum": costs.optimum(),
     }
 
 
@@ -153,7 +152,6 @@ def tables(data: Data) -> Data:
         "ratio": ratio_text,
         "shown": costs.SHOWN_METRICS,
         "torques": TORQUES,
-        "gap": _gap(data["optimum"], rows),
         "kept": [name for name, search in searches.items() if search["cost"] == search["cost_untuned"]],
     }
 
@@ -168,19 +166,6 @@ def margin_text(name: str, value: float | None) -> str:
 def ratio_text(value: float, left: int = 0) -> str:
     """A ratio of costs, and how many arms left the workspace, if any."""
     return (f"{value:.2f}" if value < 9.95 else f"{value:.0f}") + (f" ({left} left)" if left else "")
-
-
-def _gap(optimum: Data, rows: Data) -> Data:
-    """Costs of the clairvoyant optimum, in the mean of each kind and one by one, and costs of controllers over them."""
-    kinds = np.array([name.split(":")[0] for name in optimum["names"]])
-    groups = {kind: kinds == kind for kind in dict.fromkeys(kinds.tolist())}
-
-    def means(each: list[float]) -> Floats:
-        return np.array([*(np.array(each)[group].mean() for group in groups.values()), *each])
-
-    least = means(optimum["costs"])
-    ratios = [means(row["optimum"]) / least for row in rows.values()]
-    return {"kinds": list(groups), "least": least, "ratios": ratios}
 
 
 def pictures(data: Data) -> Pictures:

@@ -1,4 +1,4 @@
-"""Costs of every controller: on arms as they are built, with one thing changed, beside the optimum.
+"""Costs of every controller: on arms as they are built, and with one thing changed.
 
 Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits.
 """
@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from baselines.yardsticks.oracle import METRICS
-from baselines.yardsticks.oracle import read_file as read_optimum
 from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
-from beltarm_env.arm import COLUMN, params_columns, params_table
+from beltarm_env.arm import COLUMN, params_columns
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
-from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
 from eval.studies._arms import drawn, heading
@@ -97,12 +94,12 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
     """Run episodes on arms, columns as `ArmParams`, arm i with the move that seed `LOOPS.first + i` draws."""
     controller = make([ArmParams.from_row(row) for row in table])
     sensors = getattr(controller, "sensors", "encoder")
-    options = {"params": params_columns(table)} | settings.pop("options", {})
+    options = {"params": params_columns(table)}
     return rollout(controller, len(table), seed=LOOPS.first, options=options, sensors=sensors, **settings)
 
 
 def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
-    """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
+    """Run a controller on arms as they are built and on the design model, changed and not.
 
     Args:
         make: Of the controller.
@@ -110,9 +107,6 @@ def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
         moves: Number of moves of the design model.
     """
     design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
-    scenarios = read_optimum()[1]
-    table = params_table([scenario.params for scenario in scenarios])
-    known = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()
     return {
@@ -123,7 +117,6 @@ def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
         "design": interquartile_mean(as_designed.cost),
         "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
         "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
-        "optimum": run_arms(make, table, options={"move": known}).cost,
     }
 
 
@@ -132,14 +125,3 @@ def _effect(make: Maker, table: Floats, change: Change, before: Floats) -> dict[
     run = run_arms(make, change.applied(table), **change.settings)
     ratios = {"mean": run.cost.mean() / before.mean(), "iqm": interquartile_mean(run.cost) / interquartile_mean(before)}
     return {**ratios, "left": int((~run.finished).sum())}
-
-
-def optimum() -> dict[str, Any]:
-    """The clairvoyant optimum's scenarios, and its cost in each, from `baselines/oracle.json`.
-
-    Raises:
-        ValueError: If the file is damaged.
-    """
-    rows = read_optimum()[0]["scenarios"]
-    names = [f"{row['kind']}:{row['seed']}" for row in rows]
-    return {"names": names, "costs": [row[METRICS[0]] for row in rows]}
