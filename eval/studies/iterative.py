@@ -100,13 +100,7 @@ def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Flo
 
 
 def repeated(arms: int, repetitions: int, **scenarios: Any) -> list[dict[str, Floats]]:
-    """Metrics of each repetition of the learner, in order.
-
-    Args:
-        arms: Number of arms, side by side.
-        repetitions: Number of times that each arm makes its move.
-        **scenarios: Seed and settings of `rollout`, the same every time.
-    """
+    """Metrics of each repetition of the learner on some arms; `scenarios` are seed and settings of `rollout`."""
     controller, trials = IterativeController(), []
     for _ in range(repetitions):
         trials.append(metrics_of(rollout(controller, arms, **scenarios)))

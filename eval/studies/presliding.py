@@ -175,9 +175,8 @@ def metrics_of(name: str, model: str, deflection: float, perturbation: float, ar
 def check(model: str, deflection: float, arms: int) -> dict[str, Any]:
     """Compare a motor that gives with one that does not.
 
-    Returns:
-        `tip`: Largest distance of the tips under the same torques, of the median arm [m].
-        `costs`: By controller, the mean absolute difference of the costs in closed loop, over the mean cost.
+    `tip` is the largest distance of the tips under the same torques, of the median arm [m]; `costs` by controller the
+    mean absolute difference of the costs in closed loop, over the mean cost.
     """
     costs, tip = {}, 0.0
     for name in CHECKED:

@@ -102,13 +102,7 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
 
 
 def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
-    """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
-
-    Args:
-        make: Of the controller.
-        arms: Number of arms as they are built.
-        moves: Number of moves of the design model.
-    """
+    """Run a controller on `arms` as they are built and on `moves` of the design model, and beside the optimum."""
     design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
     scenarios = read_optimum()[1]
     table = params_table([scenario.params for scenario in scenarios])
