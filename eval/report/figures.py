@@ -57,7 +57,6 @@ LOOK: dict[Any, Any] = {
     "grid.alpha": 0.3,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.unicode_minus": True,
     "path.simplify_threshold": 0.2,
 }
 """Style of all figures of the page."""
