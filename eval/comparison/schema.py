@@ -175,7 +175,7 @@ def read_results(path: Path, wanted: SetLabel | None = None) -> dict[str, Any]:
     if not path.exists():
         raise ValueError(f"there is no {path}: name a folder that eval/compare.py has written")
     try:
-        content: Any = loads(read_text(path), parse_constant=str)
+        content: Any = loads(read_text(path), parse_constant=str)  # NaN as text, which the schema refuses
         edition = content.get("edition", 1), content["version"]  # the first edition did not say that it was one
         label = content.get("scenario_set")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

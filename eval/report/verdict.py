@@ -1,9 +1,10 @@
 """Verdict of a comparison: its numbers here, its sentences in `verdict.txt.j2`.
 
 docs/benchmark/protocol.md fixed the question before the test scenarios were drawn: does the learned method beat the
-classical one, both chosen on the development set (`eval.comparison.methods.PRIMARY`)? "Better" takes both averages: the
-difference of interquartile means outlives Holm's correction over all splits, and the 95 % interval of the mean
-difference is clear of zero. Fewer than `eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
+classical one, both chosen on the development set (`eval.comparison.methods.PRIMARY`)? "Better" takes both averages,
+for an interquartile mean alone drops the worst quarter of the arms: the difference of interquartile means outlives
+Holm's correction over all splits, and the 95 % interval of the mean difference is clear of zero. Fewer than
+`eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
 """
 
 from collections.abc import Sequence

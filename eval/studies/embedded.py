@@ -120,7 +120,7 @@ def _excess(programs: list[Agreement]) -> float:
 def _with_single_precision(
     folder: Path, loop: Loop, controller: Controller, splits: list[Split], episodes: int
 ) -> tuple[list[Recording], Floats]:
-    """Record a controller on splits, and errors over the limit of a program in single precision that moves nothing."""
+    """Record a controller on splits; and a program's errors in single precision over the limit, for the same counts."""
     errors: list[Floats] = []
     recordings = []
     for split in splits:
