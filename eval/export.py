@@ -18,7 +18,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import one_line_errors, require_known, stop_without
 
 MODULES = {"c": "program", "onnx": "onnx", "fmu": "fmu", "hub": "hub", "dataset": "dataset"}
-"""Module of each export, with its `Options` and its function `export`."""
+"""Module of each export: its `Options`, and its `export`, which writes what they ask for and prints where it is.
+
+`export` raises ValueError for options that are not allowed, DependencyNotInstalled for a missing package, and OSError
+for files that cannot be written.
+"""
 
 
 def main() -> None:

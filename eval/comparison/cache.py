@@ -2,9 +2,8 @@
 
 A part is a method on some scenarios in a row of a split. It is kept as
 `parts/SET.SPLIT.METHOD.FIRST-COUNT.KEY.safetensors`, with a key of everything that its numbers depend on: edition and
-scenarios, the method's gains, policies or sources, the code of plant and controllers, and the versions of the packages
-below them. A run that was interrupted, or that asks for more, goes on from the parts that are kept. Each file ends in
-its SHA-256: one that is damaged, or was changed by hand, is run again.
+scenarios, the method's gains, policies or sources, the code, and the versions of the packages below it. Each file ends
+in its SHA-256: one that is damaged, or was changed by hand, is run again.
 """
 
 import hashlib
@@ -230,10 +229,9 @@ def kept_count(parts: Sequence[Part], folder: Path) -> int:
 
 
 def _tasks(parts: Sequence[Part], left: list[int]) -> list[list[int]]:
-    """Group the parts that are left into tasks: few arms of a method, on splits that run beside one another.
+    """Group the parts that are left: few arms of a method, on splits that run beside one another; most runs come first.
 
-    A user's controller runs alone, so that its failure affects nothing else. Tasks with most runs come first, so that
-    none is left over at the end.
+    A user's controller runs alone, so that its failure affects nothing else.
     """
 
     def runs(task: list[int]) -> int:

@@ -93,11 +93,7 @@ def replayed(controller: Controller, observations: Singles, starts: Flags) -> Si
 
 
 def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
-    """Words for actions that should agree bit for bit, or within `close`.
-
-    Raises:
-        ValueError: If they are not.
-    """
+    """Words for actions that agree bit for bit, or within `close`; raises ValueError if they do not."""
     if np.array_equal(actions, expected):
         return "bit for bit"
     difference = np.abs(actions.astype(np.float64) - expected)

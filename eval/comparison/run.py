@@ -203,10 +203,8 @@ def verify(
 ) -> tuple[str, bool]:
     """Run again what the results.json of a folder claims, in a temporary folder; arguments as of `compare`.
 
-    Policies and controllers of the user's own are by default those of the command that the results name.
-
-    Returns:
-        Sentence about the first number that differs by more than its tolerance, or about all; whether all agree.
+    Policies and controllers of the user's own are by default those of the command that the results name. Returns a
+    sentence about the first number that differs by more than its tolerance, or about all, and whether all agree.
 
     Raises:
         ValueError: If the results are of other scenarios or of files that no commit has, or a method is not there or

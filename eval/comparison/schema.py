@@ -98,11 +98,7 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
 def write_results(
     comparison: Comparison, folder: Path, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
-    """Write `results.json`, with a verdict in words and its pairwise tests, and `episodes.csv`, each atomically.
-
-    Returns:
-        The content of `results.json`.
-    """
+    """Write `results.json`, with a verdict and its pairwise tests, and `episodes.csv`; return content of the former."""
     content = to_json(comparison, verdict, primary)
     check(content, "results.json")
     write_text(folder / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -173,15 +169,13 @@ def check(content: object, where: str) -> None:
 def read_results(path: Path, wanted: SetLabel | None = None) -> dict[str, Any]:
     """Read and check a `results.json`, which must be of the wanted set of scenarios.
 
-    NaN and infinities become text, which the schema refuses.
-
     Raises:
         ValueError: If it is missing, damaged, or of another edition, version or set of the scenarios.
     """
     if not path.exists():
         raise ValueError(f"there is no {path}: name a folder that eval/compare.py has written")
     try:
-        content: Any = loads(read_text(path), parse_constant=str)
+        content: Any = loads(read_text(path), parse_constant=str)  # NaN as text, which the schema refuses
         edition = content.get("edition", 1), content["version"]  # the first edition did not say that it was one
         label = content.get("scenario_set")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -1,11 +1,8 @@
-"""Datasets for offline learning, in Minari's format.
+"""Datasets for offline learning, in Minari's format. Needs the extra minari; docs/guide/dataset.md tells their use.
 
-Controllers take turns, on arms of their own; random torques disturb some of the episodes. docs/guide/dataset.md tells
-what a dataset holds, and how to use it. Needs the extra minari.
-
-An episode is disturbed in one of two ways, or not at all. *Noise* is added to the torque, all along. Or now and then,
-for *stretches*, the controller is not asked, and noise is the torque. The noise is smooth, of first order. Everything
-is drawn from the episode's own seed, and so the same in any batch.
+Controllers take turns, on arms of their own. An episode is left as it is, or smooth *noise* is added to its torque, or
+in some *stretches* the controller is not asked, and noise is the torque. Everything is drawn from the episode's own
+seed, and so the same in any batch.
 """
 
 import os
@@ -98,13 +95,7 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Run the controllers and write the dataset.
-
-    Raises:
-        DependencyNotInstalled: If Minari is not installed.
-        ValueError: If an option is not allowed.
-        OSError: If the folder cannot be written to.
-    """
+    """Run the controllers and write the dataset."""
     require_bounds(options, episodes=(1, DATASET_SPACING), seed=(0, MAX_DATASET_SEED), disturbed=(0, 1))
     try:
         import h5py  # noqa: F401  # which Minari imports as it writes

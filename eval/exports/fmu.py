@@ -69,12 +69,7 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Write the folder.
-
-    Raises:
-        ValueError: If the folder is in use for something else, or there is no compiler.
-        OSError: If it cannot be written.
-    """
+    """Write the folder."""
     require_free(options.out)
     params = ArmParams()
     content, platforms, failed = packed(params, options.native)

@@ -58,13 +58,7 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Write the folder, and print how to upload it.
-
-    Raises:
-        ValueError: If an option is not allowed, the policy is damaged, or the results are not of it.
-        DependencyNotInstalled: If a package is not installed.
-        OSError: If the folder cannot be written.
-    """
+    """Write the folder, and print how to upload it."""
     try:
         from huggingface_hub.utils import HFValidationError, validate_repo_id
     except ImportError:

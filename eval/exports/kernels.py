@@ -3,12 +3,6 @@
 Between count and controller stands the environment's own observation, single precision and scales included, so the
 drive's processor computes the torque that was compared, to the last bit.
 
-    begin(device, plant, resolution, move, holds_part, count)   a first move begins, the arm at rest
-    go_on(device, move, holds_part)                             a further one, from wherever the arm is
-    observe(device, count)                                      writes the sample's observation
-    commanded(device, action, limit)                            the torque, remembered as the last command
-    step(design, limit, device, memory, count)                  all of a sample, made by `step_of`
-
 A controller proposes a base torque, a residual where it has learned one, and how surprised its observer is. The guard,
 where there is one, chooses between them.
 """
@@ -161,10 +155,7 @@ def classical(law: Kernel, identifies: bool) -> Kernel:
 def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     """Proposal of a base with a residual.
 
-    Args:
-        law: Law of the base.
-        informed: Whether the agent observes what an identification believes.
-        shared: Whether that identification is the base's own.
+    `informed`: the agent observes what an identification believes; `shared`: that identification is the base's own.
     """
 
     def propose(design: Learned, limit: float, device: Device, now: Sample, begins: bool, memory: Learned) -> Proposal:

@@ -23,13 +23,7 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Write the model.
-
-    Raises:
-        ValueError: If the policy is missing or damaged, or the file has another ending.
-        DependencyNotInstalled: If the package onnx is not installed.
-        OSError: If the file cannot be written.
-    """
+    """Write the model."""
     if options.out.suffix != ".onnx":
         raise ValueError(f"--out must end in .onnx, got {options.out}")
     write_onnx(options.policy, options.out)

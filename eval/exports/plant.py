@@ -1,10 +1,5 @@
 """One arm as kernels for a program of C: its constants in, its motion out, by the environment's own kernels.
 
-    refusal(constants, bounds)        whether it is an arm, and can be integrated
-    begin(memory, joint_angle, ...)   at rest
-    step(memory, torque)              one control period later
-    look(memory, torque, duration)    how it moves within the period that comes
-
 The arm is the lumped one, behind its drive as it is built.
 """
 
@@ -38,10 +33,7 @@ OUTPUTS = {
 }
 """Outputs with unit and description."""
 _MOST_COUNTS = 2.0**31 - 1
-_LOW = np.array([bounds_of(name).low for name in FIELDS])
-_HIGH = np.array([bounds_of(name).high for name in FIELDS])
-_ABOVE = np.array([bounds_of(name).above for name in FIELDS])
-_WHOLE = np.array([bounds_of(name).whole for name in FIELDS])
+_LOW, _HIGH, _ABOVE, _WHOLE = map(np.array, zip(*map(bounds_of, FIELDS), strict=True))
 _JOINT_ANGLE = len(FIELDS)
 
 
@@ -104,10 +96,7 @@ def refusal(memory: Memory, joint_angle: float) -> int:
 def begin(memory: Memory, joint_angle: float, resolution: float) -> None:
     """Set an arm up at rest, as an episode begins.
 
-    Args:
-        memory: Written, but for the constants.
-        joint_angle: theta_a / G [rad].
-        resolution: Resolution of the encoder [rad per count].
+    Of its memory the constants stay. `joint_angle` is theta_a / G [rad], `resolution` the encoder's [rad per count].
     """
     block = memory.block
     for row in range(at.ROWS):

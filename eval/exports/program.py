@@ -57,13 +57,7 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Write the folder and check the program in it.
-
-    Raises:
-        ValueError: If an option is not allowed, something cannot be translated, there is no compiler, or program and
-            controller differ.
-        OSError: If the folder cannot be written to.
-    """
+    """Write the folder and check the program in it, which has to be the controller."""
     require_bounds(options, episodes=(1, 200), plan_samples=(1, 19))
     require_free(options.out)
     if options.check:
@@ -160,11 +154,7 @@ def _name_of(source: str) -> str:
 
 
 def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
-    """Law of a controller for one arm.
-
-    Raises:
-        ValueError: If it has none.
-    """
+    """Law of a controller for one arm; raises ValueError if it has none."""
     if not hasattr(controller, "kernel"):
         able = ", ".join(exportable())
         raise ValueError(f"{name!r} has no `kernel()`, a law for one arm, and cannot be exported; these can: {able}")

@@ -2,9 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,9 +16,10 @@ from beltarm_env.rollout import rollout
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.schema import AGAINST, read_results
-from eval.comparison.sets import SetLabel, set_of
+from eval.comparison.sets import set_of
 from eval.comparison.splits import main_split
 from eval.exports.source import TEMPLATES
+from eval.report.table import Record, Results, estimate
 from eval.report.text import cell, markdown_table
 
 if TYPE_CHECKING:
@@ -39,8 +38,8 @@ class Scores:
     ranks agents by the reward of one policy: it is run once more, on the comparison's scenarios of the main split.
     """
 
-    results: Mapping[str, Any]  # content of results.json
-    digest: str  # SHA-256 of that file
+    results: Results
+    digest: str  # SHA-256 of results.json
     method: str
     rewards: Floats  # of the policy, a number for each scenario of the main split
 
@@ -49,24 +48,12 @@ class Scores:
         """Mean and standard deviation, as the Hub ranks them."""
         return f"{np.mean(self.rewards):.2f} +/- {np.std(self.rewards):.2f}"
 
-    @cached_property
-    def rows(self) -> dict[str, dict[str, Any]]:
+    @property
+    def rows(self) -> dict[str, Record]:
         """Rows of the method by split, the main one first."""
-        rows = {row["split"]: row for row in self.results["rows"] if row["method"] == self.method}
+        rows = {split: row for (method, split), row in self.results.records.items() if method == self.method}
         home = main_split(list(rows))
         return {home: rows[home], **rows}
-
-    @cached_property
-    def against_best(self) -> dict[str, dict[str, Any]]:
-        """Pairwise tests against the best classical controller by split, where one took part."""
-        wanted = (self.method, AGAINST[0])
-        return {row["split"]: row for row in self.results["paired"] if (row["method"], row["against"]) == wanted}
-
-    @cached_property
-    def best(self) -> dict[str, dict[str, Any]]:
-        """Rows of the best classical controllers by split, where one took part."""
-        wanted = {(row["other"], split) for split, row in self.against_best.items()}
-        return {row["split"]: row for row in self.results["rows"] if (row["method"], row["split"]) in wanted}
 
 
 def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
@@ -82,7 +69,7 @@ def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     if method is None:
         return None
     scenarios = set_of(results, path)
-    scores = Scores(results, sha256_of(path), method, np.empty(0))
+    scores = Scores(Results(results), sha256_of(path), method, np.empty(0))
     home, row = next(iter(scores.rows.items()))
     arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(row["episodes"]))
     run = rollout(load_controller(policy), row["episodes"], sensors=read_spec(policy)[0].sensors, **arguments)
@@ -106,7 +93,7 @@ def eval_results(scores: Scores) -> list["EvalResult"]:
     """Entries of the Hub's model index: the cost on every split, and first `mean_reward`, where its rankings look."""
     from huggingface_hub import EvalResult
 
-    results = []
+    entries = []
     for split, row in scores.rows.items():
         common: dict[str, Any] = {
             "task_type": "reinforcement-learning",
@@ -114,45 +101,38 @@ def eval_results(scores: Scores) -> list["EvalResult"]:
             "dataset_type": ENVIRONMENT,
             "dataset_name": f"{ENVIRONMENT} {split}",
             "dataset_config": split,
-            "dataset_split": scores.results["scenario_set"]["name"],
+            "dataset_split": scores.results.label.name,
         }
-        if not results:
+        if not entries:
             name = "mean_reward"
-            results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
+            entries.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
         label = f"cost: interquartile mean over training seeds and {row['episodes']} scenarios"
         value = row["metrics"]["cost"]["iqm"]
-        results.append(EvalResult(**common, metric_type="cost", metric_name=label, metric_value=value))
-    return results
+        entries.append(EvalResult(**common, metric_type="cost", metric_name=label, metric_value=value))
+    return entries
 
 
 def markdown(scores: Scores) -> str:
     """Scores of a card for people: splits where a classical controller is better, a table, and how it was made."""
-    rows, pairs, best = scores.rows, scores.against_best, scores.best
+    rows, results = scores.rows, scores.results
     home, first = next(iter(rows.items()))
     shown = [name for name in SHOWN if name != NOT_ARRIVED or name in first["metrics"]]
-    table = []
+    table, costs = [], dict[str, str]()
     for split, row in rows.items():
-        cells = [_cell(name, row) for name in shown]
-        if split in pairs:
-            other, verdict = best[split], pairs[split]["metrics"]["cost"]["verdict"]
-            cells.append(f"`{other['method']}` {other['metrics']['cost']['iqm']:.0f}")
-            cells.append(f"{_cell('cost', pairs[split])}: {verdict}")
-        table.append([split, *cells, *["–"] * (len(shown) + 2 - len(cells))])
+        best = ["–", "–"]
+        if pair := results.against(AGAINST[0], split).get(scores.method):
+            other, costs[split] = pair["other"], pair["metrics"]["cost"]["verdict"]
+            level = estimate(results.records[other, split], "cost").iqm
+            best = [f"`{other}` {level:.0f}", f"{cell('cost', estimate(pair, 'cost'))}: {costs[split]}"]
+        table.append([split, *(cell(name, estimate(row, name)) for name in shown), *best])
     shipped = {folder.parent.name for folder in shipped_policies()}
-    label = SetLabel(**scores.results["scenario_set"])
     return TEMPLATES.get_template("card_scores.md.j2").render(
         scores=scores,
-        label=label,
-        costs={split: row["metrics"]["cost"]["verdict"] for split, row in pairs.items()},
+        costs=costs,
         table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
-        note=label.note_with([] if scores.method in shipped else [scores.method]),
+        note=results.label.note_with([] if scores.method in shipped else [scores.method]),
         home=home,
         row=first,
-        provenance=scores.results["provenance"],
+        provenance=results.content["provenance"],
         commit=commit(),
     )
-
-
-def _cell(name: str, row: Mapping[str, Any]) -> str:
-    """Estimate of a metric with its interval; a dash where no arm arrives."""
-    return cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–"

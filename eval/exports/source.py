@@ -92,11 +92,7 @@ class Loop:
     plans: bool = False  # whether plans are made anew while the arm moves
 
     def __post_init__(self) -> None:
-        """Check the name.
-
-        Raises:
-            ValueError: If it is no name for functions of C and C++.
-        """
+        """Check the name; raises ValueError if it is none for functions of C and C++."""
         if not _NAME.fullmatch(self.name) or not (TAKEN | RESERVED).isdisjoint(self.public):
             raise ValueError(
                 f"--name must be a name of C and C++, a letter and then letters and digits with single _ between them, "

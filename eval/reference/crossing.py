@@ -21,10 +21,7 @@ def integrate_until(
     end: float,
     y: Floats,
 ) -> tuple[float, Floats, bool]:
-    """Integrate y' = rates(t, y) until margin(t, y) falls below zero, or to the end.
-
-    Returns:
-        The time reached, y there, and whether the margin is used up.
+    """Integrate y' = rates(t, y) until margin(t, y) falls below zero, or to the end; return t, y, and whether it fell.
 
     Raises:
         ArithmeticError: If the integrator gives up.

@@ -57,7 +57,6 @@ LOOK: dict[Any, Any] = {
     "grid.alpha": 0.3,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.unicode_minus": True,
     "path.simplify_threshold": 0.2,
 }
 """Style of all figures of the page."""
@@ -271,13 +270,10 @@ def _spectrum(figure: FigureBase, runs: list[Run]) -> list[float]:
 
 
 def spectrum(recording: Recording) -> tuple[Floats, Floats]:
-    """Amplitudes of the tip's vibration after the move.
+    """Frequencies [Hz] and amplitudes [mm] of the tip's vibration after the move, each of shape (n,).
 
-    Both components of the tip error from the move's end on are detrended and windowed (Hann); a sine of amplitude a
-    gives a peak of height a. Resolution: about 2 / (time after the move), 2 to 3 Hz.
-
-    Returns:
-        Frequencies [Hz] and amplitudes, both components together [mm], each of shape (n,).
+    Both components of the tip error from the move's end on are detrended and windowed (Hann), then taken together. A
+    sine of amplitude a gives a peak of height a. Resolution: about 2 / (time after the move), 2 to 3 Hz.
     """
     after = recording.time > recording.moves[0, 2]
     motion = detrend(1000 * recording.tip_error[after, 0], axis=0)

@@ -152,14 +152,7 @@ def _answer(results: Results, note: str) -> Figure:
             value = estimate(row, name)
             ends = scale * np.abs([[value.iqm - value.low], [value.high - value.iqm]])
             style = {"color": OF_KIND[row["kind"]], "label": row["kind"], "error_kw": {"lw": 1.0}}
-            axis.barh(height, scale * value.iqm, 0.66, xerr=ends, **style)
-            axis.annotate(
-                f"{scale * value.iqm:.0f}",
-                (scale * value.high, height),
-                xytext=(4, 0),
-                textcoords="offset points",
-                va="center",
-            )
+            axis.bar_label(axis.barh(height, scale * value.iqm, 0.66, xerr=ends, **style), fmt="%.0f", padding=4)
         axis.set_xlabel(title)
         axis.margins(x=0.12)
         axis.spines[["top", "right"]].set_visible(False)

@@ -31,12 +31,7 @@ class Scene:
 def record_scenes(
     comparison: Comparison, splits: dict[str, Split], jobs: int | None = None
 ) -> tuple[list[Scene], list[Scene], list[Failure]]:
-    """Record the runs that are shown.
-
-    Returns:
-        The scenes of the report: median, worst, largest loss and gain; a scene on every split, where the first method
-        has its median error; and failures.
-    """
+    """Record the scenes of the report, and on each split the first method's scenario of median error; and failures."""
     titles: dict[tuple[str, int], str] = {}
     for title, split, scenario in _notable(comparison):
         before = titles.get((split, scenario))
@@ -112,13 +107,10 @@ def record(
     names: Sequence[str],
     jobs: int | None = None,
 ) -> tuple[list[Scene], list[Failure]]:
-    """Record some methods on some scenarios, each method by its training seed of median cost on the main split.
+    """Record some methods on some scenarios, each by its training seed of median cost on the main split; and failures.
 
     A drawn run is the run that was measured: a recording whose cost is another one is a failure. Of a shift the last
     move that carries a part is drawn: by then the arm is known.
-
-    Returns:
-        The scenes with the motions of the methods that ran on their splits; and failures.
     """
     calls = {}
     for name in dict.fromkeys(outcome.name for outcome in comparison.outcomes if outcome.name in names):

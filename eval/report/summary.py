@@ -132,19 +132,3 @@ def _answer(results: Results) -> Table:
     rows += [row for row in table.ranked if row.method == reference]
     named = [replace(row, method=f"{row.method} ({row.kind})") for row in rows]
     return Table(table.title, list(_ANSWERED.values()), named)
-
-
-def updated(readme: str, parts: dict[str, str]) -> str:
-    """README with each part, by its name, between its markers.
-
-    Raises:
-        ValueError: If markers are missing.
-    """
-    for name, text in parts.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        if begin not in readme or end not in readme:
-            raise ValueError(f"README.md has no {begin} and {end} to write between")
-        before, rest = readme.split(begin, 1)
-        _, after = rest.split(end, 1)
-        readme = f"{before}{begin}\n{text.strip()}\n{end}{after}"
-    return readme

@@ -33,12 +33,9 @@ def poles_text(poles: NDArray[np.complex128], digits: int = 1) -> str:
 
 
 def numbers(name: str, value: Any, more: int = 0) -> tuple[str, str, str]:
-    """Estimate `iqm` of a value, its interval's ends `low` and `high`, rounded as suits the metric; dashes for none.
+    """Estimate `iqm` of a value, and its interval's `low` and `high`, rounded as suits the metric; dashes for none.
 
-    Args:
-        name: The metric.
-        value: Has `iqm`, `low` and `high`.
-        more: Digits beyond those of the metric, for differences.
+    `more` digits beyond those of the metric are for differences.
     """
     metric = METRICS[name]
     factor = 100 if metric.share else 1
@@ -65,13 +62,7 @@ _RULES = {"l": "---", "r": "---:"}
 
 
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], align: str = "") -> str:
-    """A table in Markdown.
-
-    Args:
-        titles: Of the columns.
-        rows: Cells of each row.
-        align: "l" or "r" for each column; by default numbers to the right of a column of names.
-    """
+    """A table in Markdown; `align` has "l" or "r" for each column, by default numbers right of a column of names."""
     rules = [_RULES[side] for side in align or "l" + "r" * (len(titles) - 1)]
     lines = [f"| {' | '.join(titles)} |", f"|{'|'.join(rules)}|"]
     return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows])

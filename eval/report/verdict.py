@@ -1,13 +1,9 @@
 """Verdict of a comparison: its numbers here, its sentences in `verdict.txt.j2`.
 
-One question comes first: does the best learned method beat the best classical controller? Both were chosen on the
-development set (`eval.comparison.methods.PRIMARY`), and they are compared scenario by scenario on every split, in two
-primary quantities, the cost and the time until the arm's end is still, and in what else it does. "Better" takes both
-averages: the difference of interquartile means outlives Holm's correction over all splits, and the 95 % interval of the
-mean difference is clear of zero. An interquartile mean alone drops the worst quarter of the arms.
-docs/benchmark/protocol.md fixed this before the test scenarios were drawn.
-
-Vibration is compared where both arrive: a method that never moves does not vibrate. Fewer than
+docs/benchmark/protocol.md fixed the question before the test scenarios were drawn: does the learned method beat the
+classical one, both chosen on the development set (`eval.comparison.methods.PRIMARY`)? "Better" takes both averages,
+for an interquartile mean alone drops the worst quarter of the arms: the difference of interquartile means outlives
+Holm's correction over all splits, and the 95 % interval of the mean difference is clear of zero. Fewer than
 `eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
 """
 
@@ -92,12 +88,7 @@ class PairwiseTest:
 
 
 def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
-    """Decide the primary comparison.
-
-    Returns:
-        Sentences, with one for each of a user's own methods; and the pairwise tests as entries of `results.json`, none
-        where the question is not decided.
-    """
+    """Decide the primary comparison: sentences, and tests for `results.json`, none where nothing is decided."""
     pair, home = comparison.primary_pair(), comparison.main_split
     if pair is None:
         best = [comparison.best_classical(split) for split in comparison.splits()]

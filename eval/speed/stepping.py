@@ -175,10 +175,7 @@ def rollout_rows(repetitions: int) -> list[Row]:
 
 
 def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row]:
-    """Speed of PPO's loop, rollout and update, beside one over single arms with as many samples per update.
-
-    The model is that of `train/ppo.py`.
-    """
+    """Speed of the loop of `train/ppo.py`, rollout and update, beside one over single arms with as many samples."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv

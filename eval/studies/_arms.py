@@ -42,9 +42,7 @@ class _Forgetful(AdaptiveController):
 def believing(*held: str, remembers: bool = False) -> AdaptiveController:
     """`adaptive`, which plans with squares, and believes some of its `Uncertainty` to be what the design model says.
 
-    Args:
-        held: What it believes.
-        remembers: Whether its belief lasts from move to move.
+    `held` is what it believes; where it `remembers`, its belief lasts from move to move.
     """
     gains, kind = tuned("adaptive", AdaptiveGains), AdaptiveController if remembers else _Forgetful
     return kind(gains, uncertainty=replace(gains.uncertainty(), **dict.fromkeys(held, 0.0)), improvements=0)

@@ -75,10 +75,7 @@ def load(name: str) -> Any:
 
 
 def run(study: Any, options: StudyOptions) -> Path:
-    """Measure a study and write data, page and pictures.
-
-    Returns:
-        The folder.
+    """Measure a study and write data, page and pictures; return their folder.
 
     Raises:
         ValueError: If an option is not allowed.

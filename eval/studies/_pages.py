@@ -1,6 +1,7 @@
 """All measured pages: whether the code that measured them is still the same, rendered from data, measured anew."""
 
 import importlib
+import re
 import shutil
 import subprocess
 import sys
@@ -110,20 +111,25 @@ def render_all(wanted: Sequence[str] = ()) -> Iterator[Path]:
 
 
 def updated_readme(readme: str, data: dict[str, Any]) -> str:
-    """README with the numbers of a comparison."""
-    return summary.updated(
-        readme, {name: text_of("comparison", summary, data, f"{name}.md.j2") for name in summary.BLOCKS}
-    )
+    """README with the numbers of a comparison, each of `summary.BLOCKS` between the markers of its name.
+
+    Raises:
+        ValueError: If markers are missing.
+    """
+    for name in summary.BLOCKS:
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        block = f"{begin}\n{text_of('comparison', summary, data, f'{name}.md.j2').strip()}\n{end}"
+        readme, found = re.subn(f"{begin}.*?{end}", lambda _, block=block: block, readme, count=1, flags=re.DOTALL)
+        if not found:
+            raise ValueError(f"README.md has no {begin} and {end} to write between")
+    return readme
 
 
 def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     """Measure pages that are not fresh, or not of the newest commit that measured one; the cheapest first.
 
     Each is measured into `MEASURED`, and what is fresh there is not repeated. Once all are measured they replace the
-    committed ones, so that all committed pages name one commit.
-
-    Yields:
-        Name of a page, and what is done with it.
+    committed ones, so that all committed pages name one commit. Yields the name of a page, and what is done with it.
 
     Raises:
         ValueError: If files differ from the commit, or a measurement fails.

@@ -120,11 +120,7 @@ def _excess(programs: list[Agreement]) -> float:
 def _with_single_precision(
     folder: Path, loop: Loop, controller: Controller, splits: list[Split], episodes: int
 ) -> tuple[list[Recording], Floats]:
-    """Record a controller on splits, with a program in single precision beside it that moves nothing.
-
-    Returns:
-        A recording of each split, and errors of the program's torques over the limit, for the same encoder counts.
-    """
+    """Record a controller on splits; and a program's errors in single precision over the limit, for the same counts."""
     errors: list[Floats] = []
     recordings = []
     for split in splits:

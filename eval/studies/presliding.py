@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from matplotlib.figure import Figure
@@ -26,7 +25,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.rollouts import shipped_controller, side_by_side
 from eval.comparison.statistics import LEAST_SCENARIOS, estimate, interquartile_mean, paired
 from eval.reference.lugre import STEPS, LuGreArms
-from eval.report.style import COLOURS, mark_one_two_five
+from eval.report.style import COLOURS, mark_one_two_five, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"controllers": ("paper", "student"), "deflections": (3.0,), "arms": 4, "jobs": 1}
@@ -175,9 +174,8 @@ def metrics_of(name: str, model: str, deflection: float, perturbation: float, ar
 def check(model: str, deflection: float, arms: int) -> dict[str, Any]:
     """Compare a motor that gives with one that does not.
 
-    Returns:
-        `tip`: Largest distance of the tips under the same torques, of the median arm [m].
-        `costs`: By controller, the mean absolute difference of the costs in closed loop, over the mean cost.
+    `tip` is the largest distance of the tips under the same torques, of the median arm [m]; `costs` by controller the
+    mean absolute difference of the costs in closed loop, over the mean cost.
     """
     costs, tip = {}, 0.0
     for name in CHECKED:
@@ -242,25 +240,22 @@ def pictures(data: dict[str, Any]) -> Pictures:
 
 def _draw(data: dict[str, Any]) -> Figure:
     """Draw the cost over the deflection for both models, the motor that does not give at the left end."""
-    figure, panels = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained", sharey=True)
-    rows = _rows(data)
-    for axes, model, title in zip(
-        panels, (ELEMENT, LUGRE), ("the plant's slip element", "LuGre friction"), strict=True
-    ):
+    titles, rows = {ELEMENT: "the plant's slip element", LUGRE: "LuGre friction"}, _rows(data)
+    figure, axes = panels(len(titles), 2, (4.5, 4.2), sharey=True)
+    for axis, (model, title) in zip(axes, titles.items(), strict=True):
         shown = [CLEAN, *(friction for friction in data["frictions"] if friction.startswith(model))]
         places = range(len(shown))
         for name, colour in zip(data["controllers"], COLOURS, strict=False):
             costs = [rows[name, friction]["cost"] for friction in shown]
             low, high = ([cost[key] for cost in costs] for key in ("low", "high"))
-            axes.fill_between(places, low, high, color=colour, alpha=0.12, linewidth=0)
-            label = name if axes is panels[0] else None
-            axes.plot(places, [cost["iqm"] for cost in costs], "o-", color=colour, ms=4, label=label)
-        axes.set_xticks(places, ["0", *(friction.split(", ")[1].removesuffix(" mrad") for friction in shown[1:])])
-        axes.set_title(title, fontsize=10)
-        axes.set_xlabel("deflection of the motor before it slips (mrad)")
-        axes.grid(alpha=0.3, which="both")
-    panels[0].set_yscale("log")
-    mark_one_two_five(panels[0].yaxis)
-    panels[0].set_ylabel("cost, interquartile mean")
-    figure.legend(loc="outside right upper", frameon=False)
+            axis.fill_between(places, low, high, color=colour, alpha=0.12, linewidth=0)
+            axis.plot(places, [cost["iqm"] for cost in costs], "o-", color=colour, ms=4, label=name)
+        axis.set_xticks(places, ["0", *(friction.split(", ")[1].removesuffix(" mrad") for friction in shown[1:])])
+        axis.set_title(title, fontsize=10)
+        axis.set_xlabel("deflection of the motor before it slips (mrad)")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].set_yscale("log")
+    mark_one_two_five(axes[0].yaxis)
+    axes[0].set_ylabel("cost, interquartile mean")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure

@@ -210,13 +210,6 @@ class TestStiction:
             assert (np.ptp(states[:, 0]) > 0) == (abs(share) > 1)
             assert np.ptp(states[:200, 2]) > abs(share) * threshold
 
-    def test_motor_starts_only_beyond_coulomb_friction(self):
-        for torque in (0.0319, -0.0319, 0.0321, -0.0321):
-            env = arm_env({}, at_rest(DEG_45))
-            start = env.state[0]
-            apply(env, torque)
-            assert np.sign(env.state[0] - start) == (0 if abs(torque) < 0.032 else np.sign(torque))
-
 
 class TestDriveOfTheEnvironment:
     def test_an_episode_is_the_same_whatever_drives_the_arms_before_had(self):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, drawn_arms, full_arm_at, push, stops
+from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, full_arm_at, push, stops
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from eval.reference.event_located import EventLocatedArm, tip
@@ -110,16 +110,6 @@ class TestMotion:
         assert arm.energy - stored == pytest.approx(balance, abs=2e-5)
         assert stops(arm) >= 2
 
-    def test_many_small_steps_of_the_equations_as_written_lead_there(self):
-        params, start = ArmParams(**drawn_arms(2, seed=8)[1]), at_rest(0.7, 0.02)
-        arm, commands = EventLocatedArm(params, start), [push(k) for k in range(300)]
-        for command in commands:
-            arm.sample(command)
-        assert stops(arm) >= 1
-        ends = [tip(params, stepped(params, start, commands, steps)) for steps in (10, 100)]
-        distances = [np.linalg.norm(tip(params, arm.state) - end) for end in ends]
-        assert distances[1] < 3e-8 and distances[1] < 0.2 * distances[0]
-
     def test_a_stiff_belt_moves_like_a_rigid_one(self):
         # Rigid and unforced but for the motor: 1/2 (I_1 + M0 + S sin^2(phi)) phi'^2 = G tau_m (phi - phi_0).
         params = ArmParams(**LOSSLESS | {"belt_stiffness": 3e5, "belt_damping_ratio": 1.0})
@@ -140,56 +130,6 @@ class TestMotion:
         arm.advance(0.0, CONTROL_PERIOD / 10)
         assert [new for _, new in arm.mode_changes] == [mode]
         assert (arm.state[1] < 0) == (mode == "backward")
-
-
-def stepped(p: ArmParams, state: np.ndarray, commands: list[float], steps: int) -> np.ndarray:
-    """State of the lumped arm after some commands, in steps of Runge and Kutta that know of no events.
-
-    A step at whose beginning the motor rests and is held leaves it at rest; one in which it would reverse ends at rest.
-    """
-    dt, swing = CONTROL_PERIOD / steps, p.arm_inertia_swing + 4 * p.link_length**2 * p.payload_mass
-    damping = 2 * p.belt_damping_ratio * math.sqrt(p.belt_stiffness * (p.arm_inertia + p.arm_inertia_swing))
-
-    def pull(x: np.ndarray) -> tuple[float, float, float]:
-        angle, speed, phi, phi_rate, torque = x.tolist()
-        phase = 2 * angle + p.kinematic_error_phase
-        g = 1 / p.gear_ratio + 2 * p.kinematic_error * math.cos(phase)
-        torsion = angle / p.gear_ratio + p.kinematic_error * math.sin(phase) - phi
-        share = torsion**2 / (torsion**2 + p.belt_stiffening_torsion**2)
-        stiffness = p.belt_stiffness * (1 - p.belt_stiffening + 2 * p.belt_stiffening * share)
-        belt = stiffness * torsion + damping * (g * speed - phi_rate)
-        own = p.torque_ripple * math.sin(p.torque_ripple_order * angle + p.torque_ripple_phase)
-        level = p.coulomb_friction * (1 + p.friction_variation * math.sin(2 * angle + p.friction_variation_phase))
-        return torque + own - g * belt, level, belt
-
-    def rates(x: np.ndarray, direction: float, drift: float, target: float) -> np.ndarray:
-        _, speed, phi, phi_rate, torque = x.tolist()
-        drive, level, belt = pull(x)
-        excess = p.static_friction_excess / (1 + (speed / p.stribeck_speed) ** 2)
-        slides = drive - drift * (p.motor_viscous_friction * speed + direction * level * (1 + excess))
-        m2 = p.arm_inertia + swing * math.sin(phi) ** 2
-        arm = (belt - 0.5 * swing * math.sin(2 * phi) * phi_rate**2) / m2
-        motor = slides / p.motor_inertia if direction else 0.0
-        return np.array([speed, motor, phi_rate, arm, (target - torque) / p.current_loop_time_constant])
-
-    x = np.array([state[0], state[1], state[0] / GEAR - state[2], state[1] / GEAR - state[3], 0.0])
-    late = p.command_latency / CONTROL_PERIOD
-    for j in range(len(commands) * steps):
-        drift = 1 + p.friction_drift * (j // steps + 0.5) * CONTROL_PERIOD / 1.8
-        given = math.floor((j + 0.5) / steps - late)
-        target = (1 + p.torque_constant_error) * (commands[given] if given >= 0 else 0.0)
-        direction = np.sign(x[1])
-        if direction == 0:
-            drive, level, _ = pull(x)
-            direction = np.sign(drive) if abs(drive) > drift * level * (1 + p.static_friction_excess) else 0.0
-        first = rates(x, direction, drift, target)
-        second = rates(x + 0.5 * dt * first, direction, drift, target)
-        third = rates(x + 0.5 * dt * second, direction, drift, target)
-        fourth = rates(x + dt * third, direction, drift, target)
-        x = x + dt / 6 * (first + 2 * second + 2 * third + fourth)
-        if direction * x[1] < 0:
-            x[1] = 0.0
-    return np.array([x[0], x[1], x[0] / GEAR - x[2], x[1] / GEAR - x[3]])
 
 
 def lugre_motion(deflection: float | None, samples: int = 200, steps: int = 60) -> np.ndarray:

@@ -168,12 +168,7 @@ class FaultyArms(BeltArmVectorEnv):
 
 
 class BrokenPolicy:
-    """Policy whose weights are no numbers from some sample on.
-
-    Args:
-        policy: Of a residual agent.
-        arms: Whose onsets count.
-    """
+    """Policy of a residual agent whose weights are no numbers from the onsets of some arms on."""
 
     def __init__(self, policy: Controller, arms: FaultyArms) -> None:
         self._policy, self._arms = policy, arms

@@ -208,11 +208,7 @@ def train_run(words: list[str], out: Path, place: Path, channel: Channel | None)
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
-    """Score a controller on shifts of the arms of `ABLATIONS`.
-
-    Returns:
-        Means and medians over all moves, and the share of arms that left the workspace [%].
-    """
+    """Means and medians of a controller's metrics on shifts of `ABLATIONS`, and the share of arms that left [%]."""
     task: dict[str, Any] = {"randomization": "train", "moves": StudentConfig.moves, "sensors": sensors}
     run = rollout(controller, arms, seed=ABLATIONS.first, **task)
     metrics = run.metrics()

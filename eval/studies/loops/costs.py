@@ -99,13 +99,7 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
 
 
 def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
-    """Run a controller on arms as they are built and on the design model, changed and not.
-
-    Args:
-        make: Of the controller.
-        arms: Number of arms as they are built.
-        moves: Number of moves of the design model.
-    """
+    """Run a controller on `arms` as they are built and on `moves` of the design model, changed and not."""
     design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()

@@ -90,11 +90,7 @@ def run_scenes() -> tuple[list[dict[str, Any]], dict[str, Any]]:
 
 
 def ringing_numbers(pair: Floats) -> dict[str, Any]:
-    """Ringing of a move without and with vibration feedback, its ratios, the answer, and where the arm left.
-
-    Args:
-        pair: Shape (2, len(PHASES)).
-    """
+    """Ringing of a move without and with feedback, (2, len(PHASES)), its ratios, the answer, and where the arm left."""
     left = dict(zip(runs.PHASES, runs.ratios(pair), strict=True))
     return {
         "phases": [dict(zip(runs.PHASES, phases, strict=True)) for phases in pair],
@@ -127,10 +123,8 @@ def vary(usual: Mapping[str, Any]) -> list[dict[str, Any]]:
 def random(pair: Floats) -> dict[str, Any]:
     """Shares of random moves by their ratios of ringing in each phase, and on how many the arm left its workspace.
 
-    Moves on which the arm leaves its workspace with vibration feedback alone count as increased.
-
-    Args:
-        pair: Ringing without and with vibration feedback, shape (2, len(PHASES), n).
+    `pair` is the ringing without and with vibration feedback, shape (2, len(PHASES), n). Moves on which the arm leaves
+    its workspace with vibration feedback alone count as increased.
     """
     phases = {}
     for phase, values in zip(runs.PHASES, runs.ratios(pair), strict=True):
@@ -253,11 +247,9 @@ DRIVES = (IDEAL, *EFFECTS)
 
 
 def run_drives(moves: list[MoveShape], conditions: runs.Conditions, draws: int) -> list[Recording]:
-    """Run moves on `draws` drives of each kind.
+    """Run moves on `draws` drives of each kind, without and with vibration feedback.
 
-    Returns:
-        A recording without and one with vibration feedback: for each move all `DRIVES` one after the other, for each
-        drive `draws` episodes.
+    A recording has for each move all `DRIVES` one after the other, for each drive `draws` episodes.
     """
     table = np.tile(conditions.arm.row(), (draws, 1))
     columns = [getattr(COLUMN, name) for name in FIELDS if name in DRIVE_RANGES]

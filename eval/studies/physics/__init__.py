@@ -8,7 +8,6 @@ breaks away: the same torques go into this package's kernel and into MuJoCo, fro
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -24,7 +23,7 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import CROSSCHECK
 from eval.comparison.rollouts import side_by_side
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
-from eval.report.style import COLOURS, below
+from eval.report.style import COLOURS, below, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 from eval.studies.physics.errors import DRIVERS, FINE, SENSITIVE, SETS, cost_changes, errors_of
 
@@ -266,7 +265,7 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _distances(rows: list[dict[str, Any]], steps: list[int]) -> Figure:
     """Distance over the number of steps, a panel per regime."""
     names = list(SETTINGS)
-    figure, axes = plt.subplots(1, len(REGIMES), figsize=(13, 4.2), sharey=True, layout="constrained")
+    figure, axes = panels(len(REGIMES), len(REGIMES), (3.25, 4.2), sharey=True)
     for axis, (regime, title) in zip(axes, REGIMES.items(), strict=True):
         for row in rows:
             if row["regime"] == regime:
