@@ -59,7 +59,7 @@ def bound(
         kernel: So short that other threads of Python may wait for it.
         first: Arguments, which are looked at now: their arrays keep memory, shape and flags.
         *others: Of the types that all further ones will have.
-        like: An array: the last argument is a new one like it in each call, and its caller leaves it out.
+        like: An array, in C's order: the last argument is a new one like it in each call, and its caller leaves it out.
     """
     if isinstance(kernel, Kernel):
         return kernel.bound(first, others, like)

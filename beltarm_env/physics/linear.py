@@ -22,9 +22,9 @@ _TERMS = 9  # of the exponential's series: at 100 rad/s and 1.5 ms the next one 
 
 @compiled
 def _fill(held: Floats, plant: Plant, stiffness: float, cos_phi: float, model: Model) -> None:
-    """Write A into rows and columns 0 to 3, b into column 4, and into column 5 what a torque at the arm does, over M2.
+    """Write A into rows and columns 0 to 3, b into column 4, and accelerations by a torque at phi into column 5.
 
-    It accelerates the torsion of the lumped arm by 1 rad/s^2.
+    The torque is -M2 times 1 rad/s^2. So the lumped arm's motor and torsion accelerate by 0 and 1 rad/s^2, exactly.
     """
     w11, w12, w22 = inverse_inertia(cos_phi, plant, model)
     g, v, k, d = plant.gear, plant.viscous_friction, stiffness, plant.damping
@@ -97,7 +97,7 @@ def write_sampled_models(
         transition: A, shape (m, 4, 4), written.
         by_torque: b, shape (m, 4), written.
         by_acceleration: e, shape (m, 4), written.
-        model: Whose equations of motion. Of the full arm, M2 alpha is a torque at phi.
+        model: Whose equations of motion. On the full arm, alpha stands for a torque of -M2 alpha at phi.
     """
     held, stepped = np.zeros((_SIZE, _SIZE)), np.empty((4, _SIZE))
     for k in range(angles.shape[0]):

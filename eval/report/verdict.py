@@ -17,7 +17,7 @@ import jinja2
 from baselines import CONTROLLERS
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
-from eval.comparison.methods import is_shipped
+from eval.comparison.methods import is_shipped, shipped_policies
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.splits import EPISODES, MOVES
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
@@ -98,7 +98,8 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]
     away = [(outcome, shares) for outcome, shares in arrivals if shares.any()]
-    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away}
+    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "policies": len(pair[0].method.sources)}
+    words["all_policies"] = len([path for path in shipped_policies() if path.parent.name == pair[0].name])
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
         return _sentences(tests={}, episodes=episodes, **words), []

@@ -25,7 +25,7 @@ typedef struct {
 enum { NPY_ARRAY_WRITEABLE = 0x400 };
 typedef PyObject *(*NewFromDescr)(PyTypeObject *, PyObject *, int, const Py_ssize_t *, const Py_ssize_t *, void *, int,
                                   PyObject *);
-enum { NEW_FROM_DESCR = 94 }; /* its place in NumPy's table of functions */
+enum { ABI_VERSION = 0, NEW_FROM_DESCR = 94 }; /* places in NumPy's table of functions, which NumPy 2 has */
 
 /* An array, as NumPy or a buffer shows it */
 typedef struct {
@@ -83,7 +83,8 @@ static NewFromDescr find_new_from_descr(void)
     if (functions == NULL) PyErr_Clear();
     if (capsule) Py_DecRef(capsule);
     if (module) Py_DecRef(module);
-    return functions ? (NewFromDescr)functions[NEW_FROM_DESCR] : NULL;
+    bool known = functions != NULL && ((unsigned (*)(void))functions[ABI_VERSION])() >> 24 == 2;
+    return known ? (NewFromDescr)functions[NEW_FROM_DESCR] : NULL;
 }
 
 #endif
