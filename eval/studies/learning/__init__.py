@@ -211,8 +211,11 @@ def pictures(data: Data) -> Pictures:
         curves = [Curve(**(row | {name: np.array(row[name]) for name in arrays})) for row in data["shipped"]]
         return curves_figure(curves, data["shipped_levels"])
 
-    of_bins = {"bins.png": lambda: bins.drawn(data["bins"])} if "bins" in data else {}
-    return {"ablations.png": lambda: _ablations(data), "shipped.png": shipped, **of_bins}
+    return {
+        "ablations.png": lambda: _ablations(data),
+        "shipped.png": shipped,
+        "bins.png": lambda: bins.drawn(data["bins"]),
+    }
 
 
 def _ablations(data: Data) -> Figure:
