@@ -3,6 +3,7 @@
 import math
 from dataclasses import asdict, astuple
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,7 +144,8 @@ class TestReplanning:
         """One whose command acts later has another."""
         now, later = (self.situation(0, 0.0, 0.0, 0.0) for _ in range(2))
         later.time[1] += 0.1
-        both = Situation(*map(np.concatenate, zip(astuple(now)[:-1], astuple(later)[:-1], strict=True)))
+        parts: Any = map(np.concatenate, zip(astuple(now)[:-1], astuple(later)[:-1], strict=True))
+        both = Situation(*parts)
         plans = self.begun(both).plans
         assert plans[3] is plans[0] and plans[4].tobytes() != plans[1].tobytes()
         for plan, alone in zip(plans, [*self.begun().plans, *self.begun(later).plans], strict=True):
