@@ -240,8 +240,10 @@ def _ablations(data: Data) -> Figure:
 
 
 def _draw(axis: Axes, levels: dict[tuple[int, int], float], variant: Data, colour: str, label: str) -> None:
-    """Draw a variant's runs thin, and their geometric mean thick."""
+    """Draw a variant's runs thin, and their geometric mean thick; none that lie above the picture."""
     curves = [(np.array(run["curve"]), levels[run["validation_arms"], run["moves"]]) for run in variant["runs"]]
+    if min(curve[:, 2].min() / level for curve, level in curves) > _TOP:
+        return
     for curve, level in curves:
         axis.plot(curve[:, 0] / 1e6, curve[:, 2] / level, color=colour, lw=0.6, alpha=0.6)
     shortest = min(len(curve) for curve, _ in curves)
