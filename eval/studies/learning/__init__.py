@@ -34,8 +34,13 @@ from eval.studies.learning import bins
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
 QUICK = {
-    **{"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "runs": Path("runs/ablations-quick")},
-    **{"bins": 1, "bin_arms": 5},
+    "only": ("default",),
+    "samples": 5_000,
+    "seeds": 1,
+    "arms": 4,
+    "runs": Path("runs/ablations-quick"),
+    "bins": 1,
+    "bin_arms": 5,
 }
 
 
