@@ -20,7 +20,7 @@ from beltarm_env.kernels.layout import IDEAL, REAL
 from beltarm_env.kernels.moves import move_totals, next_moves
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
-from beltarm_env.physics.models import MODELS
+from beltarm_env.physics.models import model_of
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
@@ -132,9 +132,8 @@ class ArmBatch:
         self.scratch, self.tile = self.rooms[0][0], self.rooms[1][0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
-        _choice("model", model, tuple(MODELS))
         self.model_name = model
-        self.model = MODELS[model]
+        self.model = model_of(model)
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
         self._bounds = range_bounds(resolve_ranges(randomization, self.num_moves))
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)

@@ -18,7 +18,7 @@ from beltarm_env.batch import ArmBatch, new_renderer
 from beltarm_env.engine import bound
 from beltarm_env.info import MOVE_TOTALS
 from beltarm_env.kernels.layout import Driven, for_lanes
-from beltarm_env.kernels.step import step_arm
+from beltarm_env.kernels.step import HUGE, step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -29,21 +29,19 @@ from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 _ARM = np.array([0])
-_LEAST, _MOST = -1e300, 1e300  # comparing with them is the quickest way to tell a finite number
 
 
-def _checked(action: object) -> float:
-    """Return the number of an action, or raise ValueError."""
+def _checked(action: object) -> Any:
+    """Return the action as the kernel reads it, itself if it is so already, or raise ValueError."""
     try:
         array = np.asarray(action)
     except ValueError:
         array = np.empty(0)
     if array.shape != (1,) or array.dtype.kind not in "fiu":
-        raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}")
-    fraction = float(array[0])
-    if not _LEAST < fraction < _MOST:
-        raise ValueError(f"action must be finite, got {action!r}")
-    return fraction
+        raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}") from None
+    if not -HUGE < array.item() < HUGE:
+        raise ValueError(f"action must be finite, got {action!r}") from None
+    return np.require(array, np.float32 if array.dtype.char == "f" else np.float64, "A")
 
 
 class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -190,7 +188,6 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         self._ready = False  # reset at least once
         self._move_ends = 0.0  # steps of the episode after which its move is over
         self._running = False  # within an episode
-        self._shown = self._render_mode == "human"
         self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
         self._steps: dict[Driven, Callable[..., Any]] = {}  # for each drive that an episode had
         self._renderer = None
@@ -219,7 +216,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         self._batch.observe(result)
         if self._renderer is not None:
             self._renderer.clear()
-        if self.render_mode == "human":
+        if self._render_mode == "human":
             self.render()
         return result[0], {}
 
@@ -235,18 +232,18 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         """
         step_arm = self._step_arm or self._prepared()
         try:
-            (fraction,) = action.tolist()
-        except (AttributeError, TypeError, ValueError):
-            fraction = None
-        if not (type(fraction) is float and _LEAST < fraction < _MOST):
-            fraction = _checked(action)
-        result = step_arm(fraction)
+            result = step_arm(action)
+        except (TypeError, ValueError):
+            given = _checked(action)
+            if given is action:
+                raise  # what failed is not the action
+            result = step_arm(given)
         observed, _, terminated, truncated, info = result
         if info["episode_steps"] == self._move_ends:
             info |= self._end_move(observed, terminated or truncated)
         if terminated or truncated:
             self._running, self._step_arm = False, None
-        if self._shown:
+        if self._render_mode == "human":
             self.render()
         return result
 
@@ -277,9 +274,10 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         same = batch.blocks, batch.scratch, batch.tile, *settings
         observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, like=np.empty(self._size, np.float32))
 
-        def moved_by_engine(fraction: float) -> Any:
-            batch.advance_in_engine(np.array([fraction]))
-            return observed(fraction)
+        def moved_by_engine(action: Singles) -> Any:
+            given = _checked(action)
+            batch.advance_in_engine(given.astype(np.float64))
+            return observed(given)
 
         return observed if batch.engine is None else moved_by_engine
 

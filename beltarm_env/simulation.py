@@ -33,7 +33,7 @@ from beltarm_env.kernels.simulate import (
     room_for,
     state_size,
 )
-from beltarm_env.physics.models import MODELS
+from beltarm_env.physics.models import OWN_MODELS, model_of
 from beltarm_env.physics.substeps import check_integrable
 
 __all__ = ["DRIVE_STATES", "ArmSimulation", "X"]
@@ -54,11 +54,9 @@ class ArmSimulation:
     """
 
     def __init__(self, params: ArmParams | Sequence[ArmParams], num_arms: int = 1, model: str = "lumped") -> None:
-        if model not in ("lumped", "lagrangian"):
-            raise ValueError(f"model must be one of 'lumped', 'lagrangian', got {model!r}")
+        self.model = model_of(model, OWN_MODELS)
         arms = [params] if isinstance(params, ArmParams) else list(params)
         table = params_table(arms)
-        self.model = MODELS[model]
         check_integrable(table, self.model)
         table = np.repeat(table, num_arms, axis=0) if isinstance(params, ArmParams) else table
         self.room = room_for(len(table))

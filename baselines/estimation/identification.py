@@ -43,7 +43,7 @@ from beltarm_env.engine.blocks import none_taken, take_block, usual_threads
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.friction import mode_of_giving
-from beltarm_env.physics.models import MODELS
+from beltarm_env.physics.models import OWN_MODELS, model_of
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -251,6 +251,9 @@ class ArmIdentifier:
         uncertainty: What is doubted.
         accelerometer: Whether there is an accelerometer on the arm's end, whose readings are used.
         model: Whose equations of motion the arms are taken to obey, "lumped" or "lagrangian".
+
+    Raises:
+        ValueError: If the model is unknown.
     """
 
     def __init__(
@@ -262,7 +265,7 @@ class ArmIdentifier:
     ) -> None:
         self.params = params
         self.uncertainty = uncertainty or Uncertainty()
-        self.design = filter_design(params, self.uncertainty, accelerometer, MODELS[model])
+        self.design = filter_design(params, self.uncertainty, accelerometer, model_of(model, OWN_MODELS))
         self._axes = AXES if accelerometer else 0
         self._rooms: Room | None = None  # of the threads so far
 

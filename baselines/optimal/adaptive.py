@@ -84,6 +84,9 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         improvements: Steps by which the first plan is improved for the task's own cost, and the most of those of plans
             around the reference's end; 0 leaves all to the squares.
         model: Whose equations of motion filter and plan rely on, "lumped" or "lagrangian".
+
+    Raises:
+        ValueError: If the model is unknown.
     """
 
     gains_type = AdaptiveGains

@@ -113,7 +113,9 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: 
     result = given.give(program.call(scope, function, values))
     text = "\n".join([*program.struct_texts, *program.used_tables(), *program.texts])
     lines = without_unused(scope)
-    fails = checked or any(word in text or word in "".join(lines) for word in ("CHECK_", "heap_array", "given_array"))
+    fails = checked or any(
+        word in text or word in "".join(lines) for word in ("CHECK_", "heap_array", "given_array", "fail(")
+    )
     head = f"EXPORT const char *{SYMBOL}(void *const *p, const double *r, const int64_t *n, Slot *out)\n{{"
     opening = ["(void)p, (void)r, (void)n, (void)out;", *(["TAKE_FAILURES;"] if fails else []), *taken.lines]
     body = [*opening, *(releasing(lines, "void") if scope.uses_heap else lines), "return NULL;"]

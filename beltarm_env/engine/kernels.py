@@ -60,6 +60,7 @@ def bound(
         first: Arguments, which are looked at now: their arrays keep memory, shape and flags.
         *others: Of the types that all further ones will have.
         like: An array, in C's order: the last argument is a new one like it in each call, and its caller leaves it out.
+            Floats come as arrays of shape (1,) then, as actions do.
     """
     if isinstance(kernel, Kernel):
         return kernel.bound(first, others, like)
@@ -67,7 +68,18 @@ def bound(
 
 
 def _with_new(run: Callable[..., _R], like: NDArray[Any] | None) -> Callable[..., _R]:
-    return run if like is None else lambda *others: run(*others, np.empty_like(like))
+    return run if like is None else lambda *others: run(*map(_entry, others), np.empty_like(like))
+
+
+def _entry(argument: Any) -> float:
+    """Return the entry of an array of floats of shape (1,)."""
+    if (
+        not isinstance(argument, np.ndarray)
+        or argument.shape != (1,)
+        or argument.dtype.name not in ("float32", "float64")
+    ):
+        raise TypeError("an array of floats of shape (1,) is expected")
+    return argument.item()
 
 
 @cache

@@ -38,6 +38,9 @@ Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 
+HUGE = 1e300
+"""Beyond every action."""
+
 # Scratch rows of a step.
 ACTION = 0  # torque over its limit
 TERMS = ACTION + 1  # tip error and the three cost terms
@@ -255,10 +258,15 @@ def step_arm(
         action: Torque over the torque limit, cut to [-1, 1].
         observation: Written in place, shape (size,).
 
+    Raises:
+        ValueError: If the action is not finite, or beyond `HUGE`; the arm is then left as it was.
+
     Returns:
         The observation, reward, terminated, truncated, and what the environment tells in its `info`: totals, too, in
         every step, because a wrapper may end the episode.
     """
+    if not -HUGE < action < HUGE:
+        raise ValueError("the action is not finite")
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
     _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
     terminated = bool(scratch[TERMINATED * LANES] != 0.0)

@@ -11,7 +11,7 @@ from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import Drive, built_drive
-from beltarm_env.physics.models import MODELS, Model, accelerations, sliding_direction
+from beltarm_env.physics.models import Model, accelerations, model_of, sliding_direction
 from beltarm_env.physics.state import ArmState
 
 
@@ -51,9 +51,8 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
     Raises:
         ValueError: If x has another shape, or the model is unknown.
     """
-    if not isinstance(model, str) or model not in MODELS:
-        raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
+    equations = model_of(model)
     state = np.ascontiguousarray(x, np.float64)
     if state.shape != (4,):
         raise ValueError(f"x must have shape (4,), got {state.shape}")
-    return _derivative(state, float(torque), *_coefficients(params), MODELS[model])
+    return _derivative(state, float(torque), *_coefficients(params), equations)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
 from beltarm_env.engine import compiled
-from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
+from beltarm_env.physics.models import LUMPED, Model, inverse_inertia, model_of
 from beltarm_env.physics.trigonometry import sine_cosine
 from beltarm_env.timing import SHORTEST_LAG
 
@@ -168,8 +168,7 @@ def state_space(
         raise TypeError(f"theta_1 must be a number [rad], got {theta_1!r}")
     if not 0 <= theta_1 <= math.pi / 2:
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
-    if not isinstance(model, str) or model not in MODELS:
-        raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
+    equations = model_of(model)
     if actuator and params.current_loop_time_constant < SHORTEST_LAG:
         raise ValueError(
             f"actuator=True needs a current_loop_time_constant of at least {SHORTEST_LAG:g} s, got "
@@ -177,7 +176,7 @@ def state_space(
             "sampled_state_space"
         )
     held = np.zeros((_SIZE, _SIZE))
-    _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), MODELS[model])
+    _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), equations)
     if not actuator:
         return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
     rate = 1 / params.current_loop_time_constant

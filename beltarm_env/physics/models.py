@@ -20,6 +20,15 @@ FULL_ARM: Final = True
 ModelName = Literal["lumped", "lagrangian", "mujoco"]
 MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": FULL_ARM, "mujoco": FULL_ARM}
 """By the name that users give; "mujoco" is the full arm moved by another engine, with the same equations."""
+OWN_MODELS = "lumped", "lagrangian"
+"""Names of those that kernels move."""
+
+
+def model_of(name: object, names: tuple[str, ...] = tuple(MODELS)) -> Model:
+    """Return the model of a name, or raise ValueError if it is none of `names`."""
+    if not isinstance(name, str) or name not in names:
+        raise ValueError(f"model must be one of {', '.join(map(repr, names))}, got {name!r}")
+    return MODELS[name]
 
 
 @inlined

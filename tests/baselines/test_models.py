@@ -19,6 +19,7 @@ from baselines.models import friction as dry
 from baselines.models.flatness import CORNERS, flat_point, link_motion, write_corners
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arm_of, turning_load
 from baselines.models.rigid_arm import rigid_torque
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.planning.plan import Problem, Weights, set_step
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
@@ -60,6 +61,7 @@ def test_what_does_not_fit_is_refused():
         (("(1, 4)",), lambda: simulation.advance(np.zeros((1, 4)), np.zeros(2))),
         (("136 arms", "137"), lambda: simulation.set_table(params_table([ArmParams()] * 137))),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: ArmSimulation(ArmParams(), model="mujoco")),
+        (("'lumped', 'lagrangian'", "'mujoco'"), lambda: AdaptiveController(model="mujoco")),
     ):
         refused(ValueError, words, call)
 

@@ -239,6 +239,34 @@ def test_actions_that_are_not_finite_or_of_another_shape_or_type_leave_the_arms_
     assert np.array_equal(before, env.state)
 
 
+def test_actions_of_one_number_are_read_from_any_array_or_list():
+    def after(action: Any) -> bytes:
+        env = BeltArmEnv()
+        env.reset(seed=0)
+        return env.step(action)[0].tobytes() + env.step(action)[0].tobytes()
+
+    half = np.array([0.5])
+    unaligned = np.frombuffer(b"0" + half.tobytes(), np.uint8)[1:].view(np.float64)
+    same = [half.astype(kind) for kind in (np.float32, np.float16, ">f4", ">f8", np.longdouble)]
+    same += [[0.5], (0.5,), unaligned, np.array([0.5, 0.0])[::2], half.view(np.ma.MaskedArray)]
+    assert {after(action) for action in same} == {after(half)} != {after([1])} == {after(np.array([True]).astype(int))}
+
+
+@pytest.mark.parametrize("error", [TypeError, ValueError])
+def test_an_error_behind_an_action_that_fits_is_raised_and_no_step_is_tried_again(error: type, monkeypatch: Any):
+    env, calls = BeltArmEnv(), []
+    env.reset(seed=0)
+
+    def broken(action: Any) -> None:
+        calls.append(action)
+        raise error("broken")
+
+    for action in (np.zeros(1), np.zeros(1, np.float32)):
+        monkeypatch.setattr(env, "_step_arm", broken)
+        refused(error, ("broken",), lambda action=action: env.step(action))
+    assert len(calls) == 2
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_bad_actions_are_refused_even_for_an_arm_about_to_restart(mode: str):
     envs = BeltArmVectorEnv(2, autoreset_mode=mode)

@@ -16,7 +16,7 @@ import pytest
 
 from beltarm_env.engine import with_constants
 from beltarm_env.engine.entries import types_of
-from beltarm_env.engine.kernels import Kernel, _usual
+from beltarm_env.engine.kernels import Kernel, _usual, _with_new
 
 
 def part_of(memory: Any, start: int, shape: tuple[int, ...], strides: tuple[int, ...], dtype: str, free: bool) -> Any:
@@ -111,8 +111,8 @@ def recorded_calls() -> Iterator[Calls]:
 
     def recorded_too(kernel: Kernel, first: tuple[Any, ...], others: tuple[Any, ...], like: Any) -> Callable[..., Any]:
         run = bound(kernel, first, others if like is None else (*others, like), None)
-        call = partial(calls.recorded(kernel, lambda *arguments: run(*arguments[len(first) :])), *first)
-        return call if like is None else lambda *arguments: call(*arguments, np.empty_like(like))
+        call = calls.recorded(kernel, lambda *arguments: run(*arguments[len(first) :]))
+        return _with_new(partial(call, *first), like)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Kernel, "__call__", lambda self, *a, **n: calls.recorded(self, call.__get__(self))(*a, **n))

@@ -106,6 +106,16 @@ static bool is_whole(PyTypeObject *type)
     return (PyType_GetFlags(type) & Py_TPFLAGS_LONG_SUBCLASS) != 0 && type != &PyBool_Type;
 }
 
+/* Read the entry of an array of floats of shape (1,), as actions are. */
+static bool take_entry(PyObject *object, double *r)
+{
+    View view;
+    if (!view_of_array(object, &view) || view.axes != 1 || view.shape[0] != 1 || !aligned(&view)) return false;
+    if (view.type == 'f') *r = *(const float *)view.data;
+    if (view.type == 'd') *r = *(const double *)view.data;
+    return view.type == 'f' || view.type == 'd';
+}
+
 /* The object that a node describes; `arguments` are those behind the bound ones. */
 static PyObject *object_of(const Call *c, const Node *node, PyObject *const *arguments)
 {
@@ -126,7 +136,8 @@ static Py_ssize_t unpack(const Variant *v, Call *c, PyObject *const *arguments, 
         bool fit = true;
         switch (node->kind) {
         case 'd':
-            if ((fit = is_float(Py_TYPE(o)))) *r++ = PyFloat_AsDouble(o);
+            if (c->entries) fit = take_entry(o, r++);
+            else if ((fit = is_float(Py_TYPE(o)))) *r++ = PyFloat_AsDouble(o);
             break;
         case 'n':
             if ((fit = is_whole(Py_TYPE(o)))) {

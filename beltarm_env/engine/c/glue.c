@@ -329,6 +329,7 @@ static PyObject *kernel_bind(PyObject *self, PyObject *numbered)
         if (failed != DONE) refuse(v, &b->c, failed, objects, count);
         else function = PyCFunction_NewEx(&call, (PyObject *)b, NULL);
         b->c.bound = count;
+        b->c.entries = b->like != NULL;
         b->c.last = count > 0 ? objects[count - 1] : NULL;
     }
     Py_DecRef((PyObject *)b);

@@ -58,6 +58,7 @@ typedef struct {
     Py_ssize_t bound;  /* number of first arguments that were unpacked before, and what they have filled: */
     Py_ssize_t nodes, reals, wholes, arrays;
     bool overflow;
+    bool entries; /* whether floats come as arrays of shape (1,) */
 } Call;
 
 /* A variant with its first arguments */

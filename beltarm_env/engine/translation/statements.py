@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -57,6 +58,14 @@ class Statements(Assignments):
 
     def _do_assert(self, statement: ast.Assert) -> None:
         """Leave out what is for readers and type checkers."""
+
+    def _do_raise(self, statement: ast.Raise) -> bool:
+        """Fail with a text, which the glue raises."""
+        match statement.exc:
+            case ast.Call(ast.Name("ValueError"), [ast.Constant(str(text))]) if self.program.runs_here:
+                self.write(f"fail({json.dumps(text)});")
+                return True
+        raise TranslationError(f"{construct(statement)} is not translated, but that of a ValueError('text') for Python")
 
     def _do_return(self, statement: ast.Return) -> bool:
         self.give(Const(None) if statement.value is None else self.value(statement.value))

@@ -165,6 +165,27 @@ def test_first_arguments_are_bound_and_others_have_their_types():
 
 
 @kernel_of
+def held(limit: float, x: float, row: Any) -> Any:
+    if not -limit < x < limit:
+        raise ValueError('100% "beyond"')
+    row[:] = x
+    return row
+
+
+def test_an_error_that_a_kernel_raises_and_numbers_that_come_as_arrays(capsys: pytest.CaptureFixture[str]):
+    for run in (bound(held, (2.0,), 0.0, like=np.zeros(3)), bound(held.py_func, (2.0,), 0.0, like=np.zeros(3))):
+        for value in (1.5, -0.1, np.float32(0.1)):
+            assert run(np.array([value])).tolist() == [float(value)] * 3
+        for value in (2.0, -np.inf, np.nan):
+            with pytest.raises(ValueError, match=r'^100% "beyond"$'):
+                run(np.array([value]))
+        for other in (1.0, [1.0], np.ones(2), np.ones((1, 1)), np.array([1]), np.ones(1, np.float16), np.float64(1.0)):
+            with pytest.raises(TypeError):
+                run(other)
+    assert told(capsys) == [], "it runs as C"
+
+
+@kernel_of
 def filled(thread: int, row: Any, word: str) -> None:
     row[thread] = 1.0 if word == "one" else 2.0
 

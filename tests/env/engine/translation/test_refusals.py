@@ -57,6 +57,8 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("a number is expected", "'one'"), (1.0,), "word = 'one'; return a + word #"),
     (("a try",), (1.0,), "try: #;     return 1.0 / a; except ZeroDivisionError:;     return 0.0"),
     (("a raise",), (1.0,), "if a > 0.0:;     raise ValueError #; return a"),
+    (("a raise",), (1.0,), "if a > 0.0:;     raise TypeError('text') #; return a"),
+    (("a raise",), (1.0,), "if a > 0.0:;     raise ValueError(f'{a}') #; return a"),
     (("np.where", "np.where(a > 0.0, a, 0.0)"), (1.0,), "return np.where(a > 0.0, a, 0.0) #"),
     (("np.sin",), (1.0,), "return np.sin(a) #"),
     ((".sum is not", "a.sum"), (ROW,), "return a.sum() #"),
