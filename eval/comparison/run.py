@@ -33,7 +33,7 @@ from eval.comparison.results import Comparison, MethodOutcome, estimated, make_c
 from eval.comparison.rollouts import Failure
 from eval.comparison.schema import read_results, to_json
 from eval.comparison.sets import ScenarioSet, require_same_physics, set_of
-from eval.comparison.splits import main_split
+from eval.comparison.splits import QUICK_SEEDS, main_split
 
 
 def choose_methods(
@@ -134,8 +134,10 @@ def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioS
     """Check that a results.json, if there is one, has nothing that this run's results would lose."""
     if not path.exists():
         return
-    rows = read_results(path, scenarios.label)["rows"]
-    more = sorted({row["method"] for row in rows} - {method.name for method in methods})
+    rows, here = read_results(path, scenarios.label)["rows"], {method.name: len(method.sources) for method in methods}
+    more = sorted({row["method"] for row in rows} - here.keys())
+    fewer = {row["method"]: row["seeds"] for row in rows if row["seeds"] > here.get(row["method"], row["seeds"])}
+    more += [f"{count} policies of {name}" for name, count in fewer.items()]
     more += sorted({row["split"] for row in rows} - {*scenarios.splits})
     most = max((row["episodes"] for row in rows), default=0)
     more += [f"{most} scenarios per split"] if most > episodes else []
@@ -236,18 +238,16 @@ def _claimed_methods(
 ) -> list[Method]:
     """Methods that results are of, which must be there."""
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
-    words = list(pairwise(shlex.split(claimed["provenance"]["command"])))
-    learned = {method.name for method in learned_methods(shipped_policies())}
-    project = {*CONTROLLERS, PRIVILEGED, *learned}
+    command = shlex.split(claimed["provenance"]["command"])
+    words = list(pairwise(part for word in command for part in (word.split("=", 1) if word[:2] == "--" else [word])))
+    project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
     known = choose_methods(
         [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
         policies or [word for option, word in words if option == "--policy"],
         added or [word for option, word in words if option == "--add"],
         guard=any(name.endswith("+guard") for name in names),
         time_limit=time_limit,
-        seeds=max(
-            (row["seeds"] for row in claimed["rows"] if row["method"].removesuffix("+guard") in learned), default=1
-        ),
+        seeds=QUICK_SEEDS if "--quick" in command else None,
     )
     methods = {method.name: method for method in known}
     if missing := [name for name in names if name not in methods]:

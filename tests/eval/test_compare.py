@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from commands import mistake, stopped
 from jsonschema import Draft202012Validator
 from studies import draw_alone
 
+from agents.policy.bundle import POLICIES
 from beltarm_env.metrics import TORQUES
 from eval import compare
 from eval.comparison import provenance
@@ -122,7 +124,7 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(publish, "plots", lambda *_: {})
         patch.setattr(publish, "render", lambda *_: "")
-        patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add mine.py:Mine")
+        patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add=mine.py:Mine")
         assert stopped(compare.main, ("--add", "mine.py:Mine", *words), folder) == (0, "")
     return folder / "out"
 
@@ -168,6 +170,21 @@ def test_claims_that_cannot_be_verified_are_refused(part: str, value: Any, named
     content[part] |= value
     (tmp_path / "results.json").write_text(json.dumps(content))
     assert named in mistake(compare.main, ("--verify", str(tmp_path)), tmp_path)
+
+
+def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Results of more policies are not replaced, and those of the run are verified and no others."""
+    content = json.loads(json.dumps(results))
+    content["provenance"]["command"] += f" --policy {POLICIES / 'ppo' / 'seed4'}"
+    for row in content["rows"]:
+        row["seeds"] += row["method"] == "ppo"
+    (tmp_path / "results.json").write_text(json.dumps(content))
+    again = mistake(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "."), tmp_path)
+    assert "(3 policies of ppo)" in again and "--out" in again
+    measure = Mock(side_effect=ValueError("measured"))
+    monkeypatch.setattr("eval.comparison.run.compare", measure)
+    assert "measured" in mistake(compare.main, ("--verify", "."), tmp_path)
+    assert [len(method.sources) for method in measure.call_args.args[0]] == [1, 1, 3, 1]
 
 
 # Schema
