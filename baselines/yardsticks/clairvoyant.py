@@ -171,7 +171,12 @@ def shift_optimum(*guesses: Recording) -> list[Optimum]:
     Args:
         *guesses: The same shift of one arm under several controllers. A search begins with the torques of each, and the
             cheapest result is kept.
+
+    Raises:
+        ValueError: If there are several arms in a recording.
     """
+    if (most := max(guess.num_arms for guess in guesses)) > 1:
+        raise ValueError(f"a shift is optimised for one arm, got a recording of {most}: give recording.arm(k)")
     found = list[Optimum]()
     for k in range(guesses[0].num_moves):
         params = ArmParams.from_row(guesses[0].params[k])

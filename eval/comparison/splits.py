@@ -159,7 +159,7 @@ class Split:
 
     def arms(self, rows: slice | NDArray[np.intp]) -> list[list[ArmParams]]:
         """Return the constants of some arms, in each move."""
-        return [[ArmParams.from_row(row) for row in table[rows]] for table in self.tables]
+        return arms_of(self.tables[:, rows])
 
     def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
         """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
@@ -190,6 +190,11 @@ class Split:
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""
         return rollout(controller, 1, **self.arguments(slice(scenario, scenario + 1)))
+
+
+def arms_of(tables: Floats) -> list[list[ArmParams]]:
+    """Arms in each move, from their constants, shape (moves, n, len(FIELDS))."""
+    return [[ArmParams.from_row(row) for row in table] for table in tables]
 
 
 def beside_one_another(splits: Sequence[Split]) -> list[list[int]]:

@@ -20,13 +20,14 @@ from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.tools.progress import progress_over
 from baselines.yardsticks.clairvoyant import shift_optimum
 from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.methods import PRIVILEGED
+from eval.comparison.rollouts import calls_side_by_side
+from eval.comparison.splits import arms_of
 from eval.comparison.statistics import average, worst_mean
 from eval.report.style import BLUE, GREEN, VERMILION, name_rows
 from eval.studies._arms import believing, identifying_nothing
@@ -36,7 +37,7 @@ SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
 GUESSES = ("adaptive", PRIVILEGED)
 """Controllers of the chain with whose torques the search for the optimum begins."""
-QUICK = {"arms": 4, "moves": 2, "optima": 1}
+QUICK = {"arms": 4, "moves": 2, "optima": 1, "jobs": 1}
 
 _TIMING = ("delay", "lag")
 _TURNING = ("variation", "excess", "stiffening")
@@ -48,7 +49,7 @@ _GIVING = ("giving",)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000))
+    bounds = Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000), jobs=(1, 256))
 
     arms: int = 64
     """Number of arms, 4 to 10000."""
@@ -56,6 +57,8 @@ class Options(StudyOptions):
     """Moves of each, 2 to 100."""
     optima: int = 10
     """How many of the arms, the first ones, get the clairvoyant optimum too, 1 to 10000."""
+    jobs: int | None = None
+    """Number of processes that search for optima. Default: one per core."""
 
 
 class Step(NamedTuple):
@@ -77,9 +80,7 @@ def _held(title: str, *held: str, remembers: bool = False) -> Step:
 def _privileged(moved: Recording | None, model: str = "lumped") -> list[Any]:
     """The oracle that knows the arms of all moves of a recording, and their equations of motion."""
     assert moved is not None, "the first step has moved them"
-    arms = [ArmParams.from_row(row) for row in moved.params]
-    in_moves = (arms[k : k + moved.num_arms] for k in range(0, len(arms), moved.num_arms))
-    return [PrivilegedController(*in_moves, model=model)]
+    return [PrivilegedController(*arms_of(moved.params.reshape(moved.num_moves, moved.num_arms, -1)), model=model)]
 
 
 CHAIN = (
@@ -124,7 +125,8 @@ def measure(options: Options) -> dict[str, Any]:
     rows, made = _rows((*CHAIN, *ASIDE), options)
     two_links, _ = _rows(TWO_LINKS, options, model="lagrangian")
     first = range(min(options.optima, options.arms))
-    shifts = [shift_optimum(*(made[name].arm(k) for name in GUESSES)) for k in progress_over("optima", first)]
+    calls = {str(k): partial(shift_optimum, *(made[name].arm(k) for name in GUESSES)) for k in first}
+    shifts = calls_side_by_side("optima", calls, options.jobs).values()
     optimum = {"arms": len(first), **_averages(np.array([[best.cost for best in shift] for shift in shifts]))}
     about = {"arms": options.arms, "moves": options.moves, "first_seed": LOOPS.first}
     return about | {"rows": rows, "two_links": two_links, "optimum": optimum}

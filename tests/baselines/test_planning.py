@@ -223,6 +223,8 @@ def test_torques_of_a_shift_cost_the_same_when_they_are_replayed_and_no_controll
     np.testing.assert_array_equal(replayed.state[-1], [best.end[:4] for best in found])
     assert replayed.cost == pytest.approx(least, rel=1e-9)
     assert found[0].actions[-1] != 0 and (least < tuned.cost).all() and (least < known.cost).all()
+    several = rollout(tuned_controller("adaptive"), 2, seed=8, moves=2)
+    refused(ValueError, ("one arm", "recording of 2"), partial(shift_optimum, known, several))
 
 
 def test_who_knows_arm_and_equations_costs_less_and_the_privileged_one_knows_its_own_arms_alone():
