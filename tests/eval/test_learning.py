@@ -85,7 +85,8 @@ def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
         Run(Variant("bad", "limit", "bad", ("--residual-limit", "3")), 0, 5_000, tmp_path, quick=True).finish(4)
 
 
-@pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O"), ("--storage", "there")])
-def test_bad_options(words: tuple[str, str], tmp_path: Path):
+@pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O"), ("--storage", "there"), ("--bin-arms", "6")])
+def test_bad_options(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(learning, "run_all", None)  # nothing is trained before
     line = mistake(study.main, ("learning", *words), tmp_path)
     assert words[0] in line and words[1] in line

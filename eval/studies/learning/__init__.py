@@ -69,6 +69,7 @@ class Options(StudyOptions, WithStorage):
 def measure(options: Options) -> dict[str, Any]:
     """Train and score what is not kept, and read the curves of the shipped policies."""
     options.check_engine()
+    bins.check(options.bin_arms)
     plan = planned(options)
     require_writable(options.runs)
     tell, stop = partial(print, file=sys.stderr, flush=True), StopRequest()

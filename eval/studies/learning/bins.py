@@ -3,6 +3,8 @@
 In each bin one constant of the arms lies between two bounds. All others are drawn as in training.
 """
 
+from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +47,21 @@ COMPARED = {"cost": "cost", "torque_rate_rms": "torque rate", "torque_reversals_
 _MOVES = 2  # one with a part, one without
 
 
+def check(arms: int) -> None:
+    """Check that the policies of each method can share the arms of a bin equally.
+
+    Raises:
+        ValueError: If they cannot.
+    """
+    for method in METHODS:
+        if arms % (count := len(_policies(method))):
+            raise ValueError(f"--bin-arms must be a multiple of {count}, the policies of {method}, got {arms}")
+
+
+def _policies(method: str) -> list[Path]:
+    return sorted((POLICIES / method).glob("seed*"))
+
+
 def measure(bins: int, arms: int, jobs: int | None) -> dict[str, list[dict[str, Any]]]:
     """Measure ratios to the best classical controller in each bin of each of `DIVIDED`; some arms in each."""
     results = side_by_side("bins", ratios, [(name, k, bins, arms) for name in DIVIDED for k in range(bins)], jobs)
@@ -57,7 +74,7 @@ def ratios(name: str, k: int, bins: int, arms: int) -> dict[str, Any]:
     low, high = (of.low + (of.high - of.low) * edge / bins for edge in (k, k + 1))
     task = {"seed": ABLATIONS.first + k * arms, "randomization": {**SHIFT_RANGES, name: (low, high)}, "moves": _MOVES}
     controllers = {BEST_CLASSICAL: make_base(BEST_CLASSICAL)}
-    controllers |= {method: load_controller(*sorted((POLICIES / method).glob("seed*"))) for method in METHODS}
+    controllers |= {method: load_controller(*_policies(method)) for method in METHODS}
     runs = {method: rollout(controller, arms, **task).metrics() for method, controller in controllers.items()}
     means = {method: {metric: np.nanmean(run[metric]) for metric in COMPARED} for method, run in runs.items()}
     base = means.pop(BEST_CLASSICAL)
@@ -67,16 +84,14 @@ def ratios(name: str, k: int, bins: int, arms: int) -> dict[str, Any]:
 
 def worst(measured: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
     """Largest and middle ratio of each method over the bins of each constant."""
-    return [
-        {
-            "method": method,
-            "title": DIVIDED[name].title,
-            **{metric: {"median": np.median(of_bins), "most": max(of_bins)} for metric, of_bins in table.items()},
-        }
-        for name, rows in measured.items()
-        for method in METHODS
-        for table in [{metric: [row[method][metric] for row in rows] for metric in COMPARED}]
-    ]
+    found = []
+    for (name, rows), method in product(measured.items(), METHODS):
+        row: dict[str, Any] = {"method": method, "title": DIVIDED[name].title}
+        for metric in COMPARED:
+            of_bins = [each[method][metric] for each in rows]
+            row[metric] = {"median": np.median(of_bins), "most": max(of_bins)}
+        found.append(row)
+    return found
 
 
 def drawn(measured: dict[str, list[dict[str, Any]]]) -> Figure:
