@@ -86,9 +86,10 @@ def measure(options: Options) -> dict[str, Any]:
             of = {"kind": kind, "controller": name, "repetition": k if name in PRACTISING else None}
             rows.append({**of, "quartiles": np.percentile(metrics["cost"], [25, 75]), **levels})
     differences = []
-    for kind, (name, trial, other) in product(kinds, PAIRS):
+    pairs = dict.fromkeys((name, trial % options.repetitions, other) for name, trial, other in PAIRS)
+    for kind, (name, trial, other) in product(kinds, pairs):
         pair = paired(trials[kind, name][trial]["cost"][None], trials[kind, other][0]["cost"][None])
-        of = {"kind": kind, "controller": name, "repetition": trial % options.repetitions + 1, "against": other}
+        of = {"kind": kind, "controller": name, "repetition": trial + 1, "against": other}
         differences.append({**of, "difference": pair.difference, "wins": pair.win_rate.iqm})
     return {
         "arms": options.arms,
@@ -124,8 +125,8 @@ def metrics_of(run: Recording) -> dict[str, Floats]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Titles and digits of the metrics."""
-    return {"titles": _TITLES, "digits": _DIGITS}
+    """Titles and digits of the metrics, and the repetitions that the page shows."""
+    return {"titles": _TITLES, "digits": _DIGITS, "shown": sorted({1, 2, data["repetitions"]})}
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

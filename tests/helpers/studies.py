@@ -25,6 +25,7 @@ def try_study(name: str, folder: Path) -> None:
     assert {"command", "commit", "inputs", "options", "seconds"} <= set(data["provenance"])
     assert page == _frame.text_of(name, module, data)
     assert not re.search(r"\b(nan|inf|None)\b", page)
+    assert not re.search(r"^(\|.*)\n\1$|\| (\d+) \| \2 \|.*\n\|---", page, re.MULTILINE), "shown twice"
     files, pictures = {path.name for path in out.iterdir()}, getattr(module, "pictures", lambda _: ())(data)
     assert files == {"data.json", "page.md", *pictures}
     assert files >= {*re.findall(r"\]\(([\w-]+\.(?:png|csv))\)", page)}
