@@ -99,7 +99,7 @@ def run(config: Config) -> None:
     require_bounds(config, time_limit=(1, LONGEST))
     if config.verify is not None:
         with progress_count("parts", console) as done:
-            news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
+            news, sound = verify(config.verify, config, config.policy, config.add, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
     usual, moves, seeds = (QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS) if config.quick else (EPISODES, MOVES, None)
@@ -121,9 +121,7 @@ def run(config: Config) -> None:
     size = f"Methods: {len(methods)}; splits: {names}; {count} scenarios of each."
     console.print(f"{size} What is done is kept in {config.out}.", soft_wrap=True, highlight=False)
     with progress_count("parts", console) as done:
-        comparison = compare(
-            methods, scenarios, count, config.out, config.jobs, engine=config.runs_on, fresh=config.fresh, done=done
-        )
+        comparison = compare(methods, scenarios, count, config.out, config, fresh=config.fresh, done=done)
     content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
     write_text(config.out / PAGE, text_of("comparison", summary, content))
     print_results(content, console)

@@ -166,7 +166,7 @@ def tune(
         tell(f"{remaining} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time")
         work = run_trials if config.engine == "local" else partial(_run_trials_away, server=_serve(config))
         workers = {f"worker {number}": partial(work, config, number) for number in range(jobs)}
-        ends = run_side_by_side(workers, jobs, engine=config.runs_on, stop=stop, tell=lambda _, line: tell(line))
+        ends = run_side_by_side(workers, replace(config, jobs=jobs), stop=stop, tell=lambda _, line: tell(line))
         with closing(ends):
             failed = [f"{name}: {end.message}" for name, end in ends if isinstance(end, Failure)]
         if failed:

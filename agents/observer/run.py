@@ -36,7 +36,7 @@ from agents.policy.bundle import POLICIES, load_controller, read_spec
 from agents.residual.bases import make_base
 from agents.residual.knowledge import InformedBase, Knowledge
 from agents.runs.checkpoint import written_by
-from baselines.engines.parallel import Channel, Failure, run_side_by_side
+from baselines.engines.parallel import Channel, Failure, SideBySide, run_side_by_side
 from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
 from baselines.gains import FILE as GAINS
 from baselines.tools.command import require_bounds
@@ -218,7 +218,7 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
     missing = {block: file for block, file in files.items() if not file.exists()}
     tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
     with (
-        closing(run_side_by_side(tasks, config.jobs)) as outcomes,
+        closing(run_side_by_side(tasks, SideBySide(jobs=config.jobs))) as outcomes,
         progress_rows(["episodes"], len(blocks), Console(stderr=True)) as show,
     ):
         show("episodes", len(blocks) - len(missing), "")

@@ -116,8 +116,7 @@ def _run(config: RunConfig, console: Console) -> None:
                 if news.cost is not None and not console.is_terminal:
                     console.print(f"{name}: {news.steps} steps, {news.scores}", soft_wrap=True)
 
-            options: dict[str, Any] = {"engine": config.runs_on, "threads": config.threads, "stop": stop, "tell": tell}
-            with closing(run_side_by_side(tasks, config.jobs, **options)) as ends:
+            with closing(run_side_by_side(tasks, config, threads=config.threads, stop=stop, tell=tell)) as ends:
                 for name, end in ends:
                     if isinstance(end, Failure):
                         if alone:

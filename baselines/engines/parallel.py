@@ -48,19 +48,9 @@ _POLL, _LOOK = 0.1, 0.5  # time between looks for what has ended, and in a task 
 # Options
 
 
-class Engine(NamedTuple):
-    """What runs tasks: processes of this machine ("local"), or a cluster of Ray, which may be this machine alone."""
-
-    name: Literal["local", "ray"] = "local"
-    address: str | None = None  # of a running cluster of Ray; None begins one on this machine
-
-
-LOCAL = Engine()
-
-
 @dataclass(frozen=True, kw_only=True)
 class SideBySide:
-    """Options of a command that runs tasks side by side; its own options inherit from it."""
+    """How tasks run side by side; options of a command that runs some inherit from it."""
 
     jobs: int | None = None
     """Tasks at the same time, each in a process of its own. Default: one per core; with Ray, as many as there are cores
@@ -70,11 +60,6 @@ class SideBySide:
     (docs/guide/machines.md). Numbers are the same."""
     address: str | None = None
     """Address of a running cluster of Ray, such as 10.0.0.1:6379, or auto. Default: begin one on this machine."""
-
-    @property
-    def runs_on(self) -> Engine:
-        """The engine that was chosen."""
-        return Engine(self.engine, self.address)
 
     def check_engine(self) -> None:
         """Check the options of the engine.
@@ -187,9 +172,8 @@ class Workers(NamedTuple):
 
 def run_side_by_side(
     tasks: Mapping[str, Task[Result]],
-    jobs: int | None = None,
+    options: SideBySide,
     *,
-    engine: Engine = LOCAL,
     threads: int = 1,
     stop: StopRequest | None = None,
     tell: Callable[[str, Any], object] = lambda *_: None,
@@ -198,9 +182,8 @@ def run_side_by_side(
 
     Args:
         tasks: Tasks by name. On a request to stop, those that have not begun are left out.
-        jobs: Tasks at a time, each in a worker process; by default one per core. Locally, one task, or 1, runs in this
-            process.
-        engine: What runs the tasks. A task whose process or machine dies is begun again once.
+        options: How many run at a time, each in a worker process, and what runs them. Locally, a task that is alone, or
+            one at a time, runs in this process. A task whose process or machine dies is begun again once.
         threads: Threads of the numerical libraries in a worker.
         stop: Passed on to the tasks, see `stop_on_signals`.
         tell: Called in this thread with a task's name and its news, all of them before its result.
@@ -208,11 +191,11 @@ def run_side_by_side(
     Raises:
         DependencyNotInstalled, OSError, ValueError: If the engine cannot be had, see `baselines.engines.cluster`.
     """
-    stop, at_a_time = stop or StopRequest(), min(jobs or default_jobs(), len(tasks))
-    if engine.name == "ray":
+    stop, at_a_time = stop or StopRequest(), min(options.jobs or default_jobs(), len(tasks))
+    if options.engine == "ray":
         from baselines.engines.cluster import ray_workers  # which needs this module
 
-        there = ray_workers(engine.address, jobs, threads)
+        there = ray_workers(options.address, options.jobs, threads)
     elif at_a_time > 1:
         there = _processes(at_a_time, threads)
     else:

@@ -136,7 +136,7 @@ def tune(config: TuningConfig, console: Console) -> None:
         def tell(name: str, state: SearchProgress) -> None:
             show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
 
-        outcomes = run_side_by_side(searches, config.jobs, engine=config.runs_on, stop=stop, tell=tell)
+        outcomes = run_side_by_side(searches, config, stop=stop, tell=tell)
         with closing(outcomes):
             for name, found in outcomes:
                 workplace.collect(name, config.journals)

@@ -182,9 +182,8 @@ def keep(part: Part, folder: Path, metrics: Metrics) -> None:
 def run_parts(
     parts: Sequence[Part],
     folder: Path,
-    jobs: int | None,
+    options: parallel.SideBySide,
     done: Callable[[int, int], object] = lambda *_: None,
-    engine: parallel.Engine = parallel.LOCAL,
 ) -> list[Metrics | Failure]:
     """Return the results of all parts, in their order: kept ones are read, the others run, and kept by this process.
 
@@ -200,16 +199,16 @@ def run_parts(
     done(len(results), len(parts))
     tasks = _tasks(parts, [k for k in range(len(parts)) if k not in results])
     methods = {parts[task[0]].method.name: parts[task[0]].method for task in tasks}
-    belongings = {name: {} if engine.name == "local" else method.belongings() for name, method in methods.items()}
+    belongings = {name: {} if options.engine == "local" else method.belongings() for name, method in methods.items()}
     left = {
         str(number): partial(_run_task, [parts[k] for k in task], belongings[parts[task[0]].method.name])
         for number, task in enumerate(tasks)
     }
     try:
-        with closing(parallel.run_side_by_side(left, jobs, engine=engine)) as fresh:
+        with closing(parallel.run_side_by_side(left, options)) as fresh:
             for number, measured in fresh:
                 if isinstance(measured, parallel.Failure):
-                    raise explained(measured, jobs)
+                    raise explained(measured, options.jobs)
                 for k, result in zip(tasks[int(number)], measured, strict=True):
                     if not isinstance(result, Failure):
                         keep(parts[k], folder, result)

@@ -136,7 +136,7 @@ def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jo
     results: dict[str, Result] = {}
     with (
         progress_count(title, Console(stderr=True)) as show,
-        closing(parallel.run_side_by_side(tasks, jobs)) as outcomes,
+        closing(parallel.run_side_by_side(tasks, parallel.SideBySide(jobs=jobs))) as outcomes,
     ):
         for name, outcome in outcomes:
             if isinstance(outcome, parallel.Failure):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines import CONTROLLERS, DOMINATED
-from baselines.engines.parallel import LOCAL, Engine
+from baselines.engines.parallel import SideBySide
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
@@ -74,9 +74,8 @@ def compare(
     scenarios: ScenarioSet,
     episodes: int,
     folder: Path,
-    jobs: int | None,
+    options: SideBySide,
     *,
-    engine: Engine = LOCAL,
     fresh: bool = False,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> Comparison:
@@ -105,7 +104,7 @@ def compare(
         for part in in_order:
             part.file(folder).unlink(missing_ok=True)
     kept = kept_count(in_order, folder)
-    results = iter(run_parts(in_order, folder, jobs, done, engine))
+    results = iter(run_parts(in_order, folder, options, done))
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
 
     measured, failures = list[tuple[Method, str, Metrics, ActionTimes]](), list[Failure]()
@@ -197,9 +196,9 @@ class Difference(NamedTuple):
 
 def verify(
     folder: Path,
+    options: SideBySide,
     policies: Sequence[str] = (),
     added: Sequence[str] = (),
-    jobs: int | None = None,
     time_limit: float = TIME_LIMIT,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[str, bool]:
@@ -217,7 +216,7 @@ def verify(
     scenarios, episodes = _claimed_scenarios(claimed, path), claimed["rows"][0]["episodes"]
     methods = _claimed_methods(claimed, path, policies, added, time_limit)
     with TemporaryDirectory(prefix="beltarm-") as temporary:
-        comparison = compare(methods, scenarios, episodes, Path(temporary), jobs, done=done)
+        comparison = compare(methods, scenarios, episodes, Path(temporary), options, done=done)
     for failure in comparison.failures:
         raise ValueError(f"{failure.method} failed on {failure.split}: {failure.message}")
     measured = {(row["method"], row["split"]): _quantities(row) for row in to_json(comparison)["rows"]}

@@ -21,7 +21,7 @@ from waiting import until
 
 from baselines.engines import workplace
 from baselines.engines.isolated import run_isolated
-from baselines.engines.parallel import BrokenOff, Channel, Engine, StopRequest, stop_on_signals
+from baselines.engines.parallel import BrokenOff, Channel, StopRequest, stop_on_signals
 from baselines.engines.workplace import WithStorage, Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,13 +30,13 @@ ROOT = Path(__file__).resolve().parents[2]
 class TestInThisProcess(Anywhere):
     @pytest.fixture
     def place(self) -> Place:
-        return Place(Engine(), 1)
+        return Place(jobs=1)
 
 
 class TestInProcesses(InWorkers):
     @pytest.fixture
     def place(self) -> Place:
-        return Place(Engine(), 2)
+        return Place(jobs=2)
 
 
 SCRIPT = f"""
@@ -45,12 +45,12 @@ sys.path[:0] = {[str(ROOT), str(ROOT / "tests" / "helpers")]}
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from baselines.engines.parallel import StopRequest, run_side_by_side, stop_on_signals
+from baselines.engines.parallel import SideBySide, StopRequest, run_side_by_side, stop_on_signals
 from side_by_side import last
 stop = StopRequest()
 with stop_on_signals(stop, lambda: print("asked", flush=True)):
     tasks = {{name: partial(last, Path(name)) for name in "ab"}}
-    for name, outcome in run_side_by_side(tasks, 2, stop=stop):
+    for name, outcome in run_side_by_side(tasks, SideBySide(jobs=2), stop=stop):
         print(name, outcome.message, flush=True)
 """
 
@@ -92,10 +92,10 @@ def test_what_cannot_be_used_is_refused(monkeypatch: pytest.MonkeyPatch):
     for name, value in {"address": "auto", "storage": "s3://bucket", "jobs": 0}.items():
         refused(ValueError, (f"--{name}",), WithStorage(**{name: value}).check_engine)
     for address in ("127.0.0.1:1", "nonsense", "ray://127.0.0.1:10001") if find_spec("ray") else ():
-        place = Place(Engine("ray", address), 2)
+        place = Place(engine="ray", address=address, jobs=2)
         refused(OSError, (f"--address {address} ",), partial(place.outcomes, tasks))
     monkeypatch.setitem(sys.modules, "ray", None)
-    refused(DependencyNotInstalled, ("[ray]",), lambda: Place(Engine("ray"), 2).outcomes(tasks))
+    refused(DependencyNotInstalled, ("[ray]",), lambda: Place(engine="ray", jobs=2).outcomes(tasks))
 
 
 class TestFolders:

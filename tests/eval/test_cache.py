@@ -15,6 +15,7 @@ from safetensors.numpy import save
 
 from agents.policy.bundle import POLICIES, save_bundle
 from baselines import CONTROLLERS, DOMINATED
+from baselines.engines.parallel import SideBySide
 from baselines.servo.paper import PaperController
 from baselines.tools.files import sealed
 from beltarm_env import BeltArmVectorEnv
@@ -31,6 +32,8 @@ from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
 from eval.report import publish
+
+ALONE = SideBySide(jobs=1)
 
 
 @pytest.fixture
@@ -68,7 +71,7 @@ def test_parts_of_many_scenarios_are_the_batch_bit_for_bit(tmp_path: Path, monke
     monkeypatch.setattr(cache, "EPISODES", 4)
     cut = parts_of(whole.method, whole.split, 11)
     assert [(each.first, each.count) for each in cut] == [(0, 4), (4, 4), (8, 3)]
-    results = [result for result in run_parts(cut, tmp_path, 1) if isinstance(result, dict)]
+    results = [result for result in run_parts(cut, tmp_path, ALONE) if isinstance(result, dict)]
     joined = {name: np.concatenate([result[name] for result in results], 1) for name in results[0]}
     assert_same([joined], [measure(whole)])
 
@@ -92,7 +95,7 @@ def test_a_controller_that_fails_on_a_split_does_so_there_alone(tmp_path: Path, 
     monkeypatch.setattr(Picky, "start", first[0, index("start")])
     monkeypatch.setitem(CONTROLLERS, "paper", Picky)
     done: list[tuple[int, int]] = []
-    nominal, drive, payload = run_parts(several, tmp_path, 1, lambda *news: done.append(news))
+    nominal, drive, payload = run_parts(several, tmp_path, ALONE, lambda *news: done.append(news))
     assert isinstance(drive, Failure) and drive.split == "drive" and "ValueError: not this arm" in drive.message
     assert_same([nominal, payload], expected)
     assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
@@ -124,7 +127,7 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
 
 def test_damaged_parts_are_run_again(tmp_path: Path):
     """With any bit changed, cut off anywhere, or with other numbers that somebody wrote."""
-    (measured,), path = run_parts([part()], tmp_path, 1), part().file(tmp_path)
+    (measured,), path = run_parts([part()], tmp_path, ALONE), part().file(tmp_path)
     sound = path.read_bytes()
     damaged = [b"", b"half", sound[:-200]]
     for place in range(0, len(sound), 29):
@@ -139,14 +142,14 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
         path.write_bytes(sealed(data))
         assert read_kept(part(), tmp_path) is None and not path.exists()
     path.write_bytes(save({**measured, "cost": 0.5 * measured["cost"]}))
-    assert_same(run_parts([part()], tmp_path, 1), [measured])
+    assert_same(run_parts([part()], tmp_path, ALONE), [measured])
 
 
 def test_outdated_parts_are_taken_away_and_none_of_unknown_identity_is_kept(tmp_path: Path):
     old, unknown = (replace(part(), method=replace(part().method, identity=name)) for name in ("before", None))
     kept = (part(episodes=5), replace(part(), split=fresh_set(0).splits["nominal"]), part())
     for each in (old, *kept, unknown):
-        assert isinstance(run_parts([each], tmp_path, 1)[0], dict)
+        assert isinstance(run_parts([each], tmp_path, ALONE)[0], dict)
     assert {path.name for path in (tmp_path / "parts").iterdir()} == {each.file(tmp_path).name for each in kept}
 
 
@@ -161,9 +164,9 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(cache, "measure", counted)
     with pytest.raises(KeyboardInterrupt, match="2 of 3 parts"):
-        run_parts(several, tmp_path, 1)
+        run_parts(several, tmp_path, ALONE)
     ran.pop()
-    run_parts(several, tmp_path, 1)
+    run_parts(several, tmp_path, ALONE)
     assert len(ran) == len(set(ran)) == 2 and cache.kept_count(several, tmp_path) == 3
 
 

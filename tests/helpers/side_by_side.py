@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
 from baselines.engines import parallel
-from baselines.engines.parallel import Channel, Engine, Failure, StopRequest, Task, run_side_by_side
+from baselines.engines.parallel import Channel, Failure, SideBySide, StopRequest, Task, run_side_by_side
 
 
 def square(number: int, channel: Channel) -> int:
@@ -88,12 +88,9 @@ def until_begun(folders: list[Path], _: Channel) -> None:
         time.sleep(0.01)
 
 
-class Place(NamedTuple):
-    engine: Engine
-    jobs: int
-
+class Place(SideBySide):
     def outcomes(self, tasks: Mapping[str, Task[Any]], **options: Any) -> dict[str, Any]:
-        ends = list(run_side_by_side(tasks, self.jobs, engine=self.engine, **options))
+        ends = list(run_side_by_side(tasks, self, **options))
         assert len(ends) == len(dict(ends)), "one outcome for each task"
         return dict(ends)
 
@@ -103,7 +100,7 @@ class Anywhere:
         reported: list[tuple[str, Any]] = []
         tasks = {str(number): partial(square, number) for number in range(5)}
         ends = []
-        run = run_side_by_side(tasks, place.jobs, engine=place.engine, tell=lambda *news: reported.append(news))
+        run = run_side_by_side(tasks, place, tell=lambda *news: reported.append(news))
         for name, result in run:
             ends.append((name, result))
             assert [part for task, (_, part) in reported if task == name] == [0, 1, 2], "in order, before the result"
@@ -132,7 +129,7 @@ class InWorkers(Anywhere):
         seen = {"seen": partial(until_begun, folders[:1])}
         tasks = {**seen, **{folder.name: partial(last, folder) for folder in folders}}
         outcomes: dict[str, Any] = {}
-        for name, outcome in run_side_by_side(tasks, 2, engine=place.engine, stop=stop):
+        for name, outcome in run_side_by_side(tasks, place, stop=stop):
             stop.made = True
             outcomes[name] = outcome
         assert outcomes.pop("seen") is None
@@ -153,7 +150,7 @@ class InWorkers(Anywhere):
     def test_closing_ends_what_runs(self, place: Place, tmp_path: Path):
         (tmp_path / "a").mkdir()
         tasks = {"a": partial(last, tmp_path / "a"), "b": partial(until_begun, [tmp_path / "a"])}
-        with closing(run_side_by_side(tasks, 2, engine=place.engine)) as ends:
+        with closing(run_side_by_side(tasks, place)) as ends:
             assert next(ends) == ("b", None)
         assert place.outcomes({"c": partial(square, 2), "d": partial(square, 3)}) == {"c": 4, "d": 9}, "cores are free"
         with pytest.raises(ProcessLookupError):

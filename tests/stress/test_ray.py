@@ -20,7 +20,7 @@ from agents.policy.bundle import read_spec
 from agents.runs.command_line import main
 from agents.runs.training import News
 from baselines.engines import cluster
-from baselines.engines.parallel import Engine
+from baselines.engines.parallel import SideBySide
 from eval.comparison.cache import Part, run_parts
 from eval.comparison.methods import added_method, learned_methods, shipped_policies
 from eval.comparison.sets import development_set
@@ -54,7 +54,7 @@ def address(settings: None) -> Iterator[str]:
 class TestOnACluster(InWorkers):
     @pytest.fixture
     def place(self, address: str) -> Place:
-        return Place(Engine("ray", address), 2)
+        return Place(engine="ray", address=address, jobs=2)
 
     def test_workers_that_cannot_take_tasks_are_refused(self, place: Place, monkeypatch: pytest.MonkeyPatch):
         with pytest.raises(ValueError, match="--threads 3"):
@@ -82,8 +82,8 @@ def test_a_comparison_is_the_same_on_ray_on_one_machine(tmp_path: Path):
     methods = [policy, added_method(f"{tmp_path}/own/own.py:Own")]
     split = development_set().splits["randomized"]
     parts = [Part(method, split, 4) for method in methods]
-    here = run_parts(parts, tmp_path / "here", 1)
-    there = run_parts(parts, tmp_path / "there", None, engine=Engine("ray"))
+    here = run_parts(parts, tmp_path / "here", SideBySide(jobs=1))
+    there = run_parts(parts, tmp_path / "there", SideBySide(engine="ray"))
     for one, other in zip(here, there, strict=True):
         assert isinstance(one, dict) and isinstance(other, dict)
         assert all(np.array_equal(one[name], other[name]) for name in one)

@@ -133,7 +133,7 @@ def run_all(plan: list[Run], options: Options, tell: Callable[[str], object], st
         for label, run in left.items():
             workplace.prepare(label, run.folder, resume=True)
             tasks[label] = workplace.task(label, run.folder, partial(run.finish, options.arms), CHECKPOINT)
-        with closing(run_side_by_side(tasks, options.jobs, engine=options.runs_on, stop=stop)) as outcomes:
+        with closing(run_side_by_side(tasks, options, stop=stop)) as outcomes:
             for label, done in outcomes:
                 workplace.collect(label, left[label].folder)
                 if not isinstance(done, Failure):
