@@ -126,9 +126,7 @@ def test_the_example_passes_as_a_user_runs_it(tmp_path: Path, capsys: pytest.Cap
     assert len(lines) == 6 and all(line.startswith("ok") for line in lines)
 
 
-def test_the_place_of_a_failure_is_named_and_its_traceback_shown_if_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_failure_names_its_place_and_shows_its_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Also where the module is found beside the user, and where its process ends."""
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        raise KeyError('gain')\n")
     (tmp_path / "worse.py").write_text("import json\nraise RuntimeError('not today')\n")
@@ -161,9 +159,7 @@ def test_controllers_that_cannot_be_loaded(spec: str, named: str, tmp_path: Path
     assert named in mistake(main, (spec,), tmp_path)
 
 
-def test_identity_changes_with_every_file_of_the_folder_but_hidden_ones_caches_and_results(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_identity_changes_with_every_file_of_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Also with a renamed file, and with one below a linked folder. That of a large or unreadable one is unknown."""
     own, linked = tmp_path / "own", tmp_path / "elsewhere"
     for folder in (own / "parts", linked):

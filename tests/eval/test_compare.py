@@ -213,13 +213,8 @@ def test_a_spoilt_results_file_is_refused(spoil: Any, place: str, results: dict[
 # The page in a browser
 
 
-@pytest.fixture(scope="module")
-def report(compared: tuple[Path, str]) -> Path:
-    return compared[0] / "report.html"
-
-
-def test_the_page_is_one_small_file_without_machine_paths(report: Path):
-    text = report.read_text(encoding="utf-8")
+def test_the_page_is_one_small_file_without_machine_paths(compared: tuple[Path, str]):
+    text = (compared[0] / "report.html").read_text(encoding="utf-8")
     assert len(text.encode()) < LARGEST
     assert not re.search(r"(?:src|href)=\"(?!#|data:)", text.replace("xlink:href", "href"))
     assert str(ROOT) not in text and "@import" not in text
@@ -230,16 +225,16 @@ def test_the_page_is_one_small_file_without_machine_paths(report: Path):
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_nothing_overflows(report: Path, tmp_path: Path, width: int):
+def test_nothing_overflows(compared: tuple[Path, str], tmp_path: Path, width: int):
     open_all = "document.querySelectorAll('details').forEach((details) => { details.open = true; });"
     outside = "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, svg')"
     outside += " && e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
     script = f"{open_all} return [innerWidth, document.documentElement.scrollWidth, {outside}]"
-    shown, needed, beyond = asked(report, script, tmp_path, width)
+    shown, needed, beyond = asked(compared[0] / "report.html", script, tmp_path, width)
     assert shown == width >= needed and beyond == []
 
 
-def test_tables_are_sorted_by_their_headings(report: Path, tmp_path: Path):
+def test_tables_are_sorted_by_their_headings(compared: tuple[Path, str], tmp_path: Path):
     script = """
     const table = document.querySelector("table"), orders = [];
     for (const turn of [0, 1]) {
@@ -248,12 +243,12 @@ def test_tables_are_sorted_by_their_headings(report: Path, tmp_path: Path):
     }
     const sorts = [...table.querySelectorAll("thead th")].map((th) => th.ariaSort);
     return [...orders, sorts, table.rows[table.rows.length - 1].innerText]"""
-    first, second, sorts, last = asked(report, script, tmp_path)
+    first, second, sorts, last = asked(compared[0] / "report.html", script, tmp_path)
     assert first == sorted(first) == second[::-1] and len(first) == 3
     assert sorts.pop(2) == "descending" and {*sorts} == {"none"} and "privileged" in last
 
 
-def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, tmp_path: Path):
+def test_the_animation_plays_pauses_and_can_be_scrubbed(compared: tuple[Path, str], tmp_path: Path):
     script = """
     const shot = () => document.querySelector("#stage canvas").toDataURL(), place = () => Number(scrub.value);
     const before = shot();
@@ -268,6 +263,6 @@ def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, tmp_path: 
     scene.dispatchEvent(new Event("change"));
     const names = [...document.querySelectorAll("#stage figcaption")].map((caption) => caption.textContent);
     return [moved, time, place(), names]"""
-    moved, time, place, names = asked(report, script, tmp_path)
+    moved, time, place, names = asked(compared[0] / "report.html", script, tmp_path)
     assert (moved, time, place) == (True, "1.506 s", 0)
     assert "ppo" in names and "privileged" not in names

@@ -45,9 +45,7 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
     assert command == "python train/student.py --arms 2 --rounds 8 --gru-width 0 --validation-arms 32 --seed 1"
 
 
-def test_finished_runs_are_read_and_interrupted_ones_go_on(
-    done: tuple[Run, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
     run, result = done
     assert result["curve"][-1][0] == 2 * 4 * EPISODE_STEPS and result["digest"] == training_digest()

@@ -47,9 +47,7 @@ class TestLoop:
             *(("lagrangian", 0.0, -0.03 + 28.8j), ("lagrangian", DEG_90, -0.61 + 28.9j)),
         ],
     )
-    def test_simulated_torsion_leaves_the_mode_of_the_belt_behind_a_held_motor(
-        self, model: Any, angle: float, pole: complex
-    ):
+    def test_simulated_torsion_leaves_the_mode_behind_a_held_motor(self, model: Any, angle: float, pole: complex):
         found = digital_poles(PAPER_ARM, angle, TABLE_2, model=model)
         assert np.abs(found - pole).min() < (1e-6 if model == "lumped" else 0.05)
         assert dominant_damping(found) < 0.03

@@ -153,9 +153,7 @@ class Trembles(PaperController):
 
 
 @pytest.mark.parametrize("count", [4, 7])
-def test_an_episode_that_is_another_one_in_its_batch_is_drawn_as_it_was_measured(
-    count: int, monkeypatch: pytest.MonkeyPatch
-):
+def test_an_episode_is_drawn_as_it_was_measured_in_its_batch(count: int, monkeypatch: pytest.MonkeyPatch):
     """Eight arms were measured together. Alone, or with fewer, they move otherwise, or the controller fails."""
     monkeypatch.setitem(CONTROLLERS, "paper", Trembles)
     outcome, chosen = measured("paper", SPLITS_SHOWN["nominal"]), [Scene("", "nominal", k) for k in range(count)]

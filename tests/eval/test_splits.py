@@ -180,9 +180,7 @@ def few_drawn(name: str, seeds: SeedRange) -> ScenarioSet:
     return make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in SPLITS})
 
 
-def test_the_test_set_is_written_as_it_is_read_and_frozen_once(
-    frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """And of how its arms move, so that a changed physics is noticed."""
     read, drawn = load(frozen), few_drawn("test", arms_chosen_by(MADE_UP))
     monkeypatch.setattr(scenarios, "FILE", frozen)

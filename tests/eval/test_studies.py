@@ -87,9 +87,7 @@ def tables(data):
         ("PERIOD = 1.5e-3", "PERIOD = 1e-3", False),  # of the module that is imported
     ],
 )
-def test_the_digest_is_of_what_measures(
-    before: str, after: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_digest_of_what_measures(before: str, after: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     digests = set()
     for folder, new in (("own", before), ("other", after)):
         for path, text in (("eval/study.py", MODULE), ("beltarm_env/timing.py", IMPORTED)):

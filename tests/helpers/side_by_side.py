@@ -137,9 +137,7 @@ class InWorkers(Anywhere):
         assert all(end.message == "saved" and isinstance(end.error, parallel.Interrupted) for end in outcomes.values())
         assert {folder.name for folder in folders if (folder / "ended").exists()} == set(outcomes)
 
-    def test_workers_have_the_folder_and_the_threads_that_they_are_given(
-        self, place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ):
+    def test_workers_have_folder_and_threads(self, place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         """Also those that have run tasks elsewhere before."""
         tasks = {"a": where, "b": where}  # a single one would run in this process
         place.outcomes(tasks)

@@ -139,9 +139,7 @@ def test_all_names_begin_with_the_exports(tmp_path: Path, compiler: tuple[str, .
     assert len(names) >= 7 and all(each == name or each.startswith(f"{name}_") for each in names)
 
 
-def test_the_command_says_why_a_program_refuses_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: tuple[str, ...]
-):
+def test_why_a_program_refuses_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: tuple[str, ...]):
     monkeypatch.setenv("CC", " ".join([compiler[0], "-funsafe-math-optimizations", *UNSEEN]))
     code, errors = stopped(export.main, ("c", "ei", "--out", "made", "--episodes", "1"), tmp_path)
     assert code == 2 and "-funsafe-math-optimizations" in errors

@@ -142,9 +142,7 @@ def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     assert "beltarm-env[minari]" in mistake(export.main, SMALL, tmp_path)
 
 
-def test_a_dataset_is_replaced_only_if_asked_and_when_the_new_one_is_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_dataset_is_replaced_only_if_asked_and_by_a_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(written, "reference_scores", lambda _: (-2.0, -1.0))
     monkeypatch.setattr(written, "PIECE", 1)
     arguments, data = (*SMALL, "--out", str(tmp_path), "--id", "one/two-v0"), tmp_path / "one/two-v0/data"

@@ -60,9 +60,7 @@ def own(tmp_path: Path) -> Path:
     return tmp_path / "own"
 
 
-def test_the_folder_of_a_shipped_policy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_folder_of_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     pytest.importorskip("onnx")
     shipped = [read_spec(folder)[1]["sha256"] for folder in sorted(POLICIES.glob("*/*"))]
     few = written(tmp_path / "few.json", provenance={**published()["provenance"], "policies": shipped})
