@@ -6,12 +6,14 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from beltarm_env.engine.translation.types import TranslationError
 
 
+@cache  # a function that many call is translated many times
 def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
     """Parse a kernel.
 
@@ -29,6 +31,7 @@ def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
     return tree
 
 
+@cache
 def assignments(tree: ast.FunctionDef) -> dict[str, int]:
     """How often each name is assigned in a function; not by loops that alone set it, for themselves alone."""
     found: dict[str, int] = {argument.arg: 0 for argument in tree.args.args}

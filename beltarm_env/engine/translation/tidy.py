@@ -6,6 +6,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from beltarm_env.engine.translation.reading import place
@@ -21,11 +22,8 @@ def without_unused(body: Scope) -> list[str]:
             lines = _passed_on(lines, name)
     while True:
         text = "\n".join(lines)
-        unread = {
-            name
-            for name, local in body.locals.items()
-            if local.kind is not None and not re.search(rf"(?<![.>])\b{name}\b(?! = )|= .*(?<![.>])\b{name}\b", text)
-        }
+        read = {*re.findall(r"(?<![.>])\b\w+\b(?! = )", text), *_variables("\n".join(re.findall("= (.*)", text)))}
+        unread = {name for name, local in body.locals.items() if local.kind is not None and name not in read}
         kept = []
         for line in lines:
             target, _, source = line.strip().partition(" = ")
@@ -39,20 +37,32 @@ def without_unused(body: Scope) -> list[str]:
         lines = kept
     declared = []
     for name, local in body.locals.items():
-        uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+        uses = [k for k, line in enumerate(lines) if name in _words(line)]
         if not uses:
             continue
         first = lines[uses[0]]
-        if local.kind is not None and re.match(rf"{name} = (?!.*\b{name}\b)", first):  # where it is assigned first
+        target, _, source = first.partition(" = ")
+        if local.kind is not None and target == name and name not in _words(source):  # where it is assigned first
             lines[uses[0]] = f"{local.text.partition(' = ')[0].removesuffix(name)}{first}"
         else:
             declared.append(local.text)
     return [*declared, *lines]
 
 
+@lru_cache(10_000)
+def _words(line: str) -> frozenset[str]:
+    """Names, numbers and keywords of a line: to look for a name there takes longer with a pattern of its own."""
+    return frozenset(re.findall(r"\w+", line))
+
+
+def _variables(text: str) -> set[str]:
+    """Words of a text that name no field."""
+    return set(re.findall(r"(?<![.>])\b\w+", text))
+
+
 def _passed_on(lines: list[str], name: str) -> list[str]:
     """Join `t = f(); x = t;` to `x = f();` where t is read nowhere else."""
-    uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+    uses = [k for k, line in enumerate(lines) if name in _words(line)]
     if len(uses) != 2 or uses[1] != uses[0] + 1:
         return lines
     made, used = lines[uses[0]], lines[uses[1]]
@@ -74,9 +84,9 @@ def text_of(function: Callable[..., Any], name: str, body: Any, parameters: list
     lines = without_unused(body)
     if body.uses_heap:
         lines = releasing(lines, returns)
-    text = "\n".join(lines)
-    unused = [p.split()[-1].lstrip("*") for p in parameters]
-    unused = [f"    (void){p};" for p in unused if not re.search(rf"(?<![.>])\b{p}\b", text)]
+    read = _variables("\n".join(lines))
+    names = [p.split()[-1].lstrip("*") for p in parameters]
+    unused = [f"    (void){name};" for name in names if name not in read]
     first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
     source = place(function)
     static = "INLINED" if body.program.runs_here and getattr(function, "inlined", False) else "static"
