@@ -67,48 +67,48 @@ def resting_observation(joint: float, state: Floats, before: float, last_command
     return np.array([list(values.values())]) / observation.scales()
 
 
-def response(name: str, controller: Any, k: int, pulse: float) -> Floats:
-    """What a pulse of torque adds to the angle of a motor under the real controller, shape (STEPS,) [rad].
+def responses(name: str, controller: Any, places: tuple[int, ...], pulse: float) -> Floats:
+    """What a pulse of torque adds to the angles of motors under the real controller, shape (STEPS, places) [rad].
 
-    The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
+    The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motors
     from standing still, which observers take for sticking, and is too faint for an identification to see how fine the
-    encoder is: it is told. Two arms are simulated, of which the first gets the pulse.
+    encoder is: it is told. Two arms are simulated at each place, of which the first gets the pulse.
     """
-    begin = SETTLED.get(name, 300)
-    joint = float(np.float32(ANGLES[k]))
-    plant, noise = ArmSimulation(controller.params, 2), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
-    states = plant.at_rest(np.full(2, 88 * joint))
-    angles, memory, last = [states[:, 0]], None, np.zeros(2)
+    begin, joints = SETTLED.get(name, 300), np.repeat(np.float32(ANGLES[[*places]]), 2).astype(float)
+    plant, noise = ArmSimulation(controller.params, len(joints)), np.random.default_rng(0)
+    states, pulses = plant.at_rest(88 * joints), pulse * (np.arange(len(joints)) % 2 == 0)
+    angles, memory, last = [states[:, 0]], None, np.zeros(len(joints))
     for i in range(begin + STEPS):
         angles.append(states[:, 0])
-        seen = [resting_observation(joint, *arm) for arm in zip(states, angles[i], last, strict=True)]
+        seen = [resting_observation(*arm) for arm in zip(joints, states, angles[i], last, strict=True)]
         action, memory = controller.predict(np.concatenate(seen), memory)
         if isinstance(memory, AdaptiveMemory):
-            memory = replace(memory, belief=memory.belief._replace(counts=np.full(2, QUANTUM)))
+            memory = replace(memory, belief=memory.belief._replace(counts=np.full(len(joints), QUANTUM)))
         last = action[:, 0].astype(float) * 0.3
-        states = plant.advance(states, last + noise[i] + (np.array([pulse, 0.0]) if i == begin else 0.0))
-    with_pulse, without = np.array(angles[begin + 1 :]).T
-    return with_pulse - without
+        states = plant.advance(states, last + 1e-8 * noise.standard_normal() + (pulses if i == begin else 0.0))
+    both = np.array(angles[begin + 1 :])
+    return both[:, ::2] - both[:, 1::2]
 
 
 @pytest.mark.parametrize(
-    ("name", "latency", "k"),
+    ("name", "latency", "places"),
     [
-        *((name, None, k) for name in CONTROLLERS for k in (0, 45)),
-        *((name, *of) for name in ("ei", "lqg", "preview", "mpc") for of in ((0.75, 0), (1.6, 30))),
+        *((name, None, (0, 45)) for name in CONTROLLERS),
+        *((name, *of) for name in ("ei", "lqg", "preview", "mpc") for of in ((0.75, (0,)), (1.6, (30,)))),
     ],
 )
-def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(name: str, latency: float | None, k: int):
+def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(
+    name: str, latency: float | None, places: tuple[int, ...]
+):
     """Its own `predict`, in closed loop with the environment's arm, ideal and behind a drive."""
-    driven = replace(DRIVEN, command_latency=(latency or 0.0) * CONTROL_PERIOD)
-    params, pulse = FRICTIONLESS if latency is None else driven, 1e-6
-    controller = frictionless(name, params)
-    motion = response(name, controller, k, pulse)
-    law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
-    closed: Any = control.feedback(arm, cast("Any", law), sign=1)
-    torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
-    expected = np.asarray(closed.forced_response(inputs=torques).outputs)
-    assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
+    params = FRICTIONLESS if latency is None else replace(DRIVEN, command_latency=latency * CONTROL_PERIOD)
+    controller, pulse = frictionless(name, params), 1e-6
+    for k, motion in zip(places, responses(name, controller, places, pulse).T, strict=True):
+        law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
+        closed: Any = control.feedback(arm, cast("Any", law), sign=1)
+        torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
+        expected = np.asarray(closed.forced_response(inputs=torques).outputs)
+        assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max(), k
 
 
 @cache
