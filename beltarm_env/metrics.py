@@ -107,22 +107,30 @@ def episode_metrics(
     last = len(distance) - np.argmax(distance[::-1] > STILL_BAND, axis=0)  # step after which it was last away
     unstill = np.where((distance > STILL_BAND).any(axis=0), last, 0)
     return {
-        "tip_rms_mm": 1000 * np.sqrt(np.mean(distance**2, axis=0)),
+        "tip_rms_mm": 1000 * np.sqrt(_mean(distance**2)),
         "tip_max_mm": 1000 * distance.max(axis=0),
         "residual_pp_mm": np.hypot(residual[:, 0], residual[:, 1]),
         "residual_radial_pp_mm": residual[:, 0],
         "residual_lateral_pp_mm": residual[:, 1],
-        "tip_acc_rms": np.sqrt(np.mean(np.sum(acceleration_error**2, axis=2), axis=0)),
+        "tip_acc_rms": np.sqrt(_mean(np.sum(acceleration_error**2, axis=2))),
         "settling_s": np.where(failed, EPISODE_TIME, settling),
         "still_s": np.array([still_time(*each) for each in zip(unstill.tolist(), move_duration.tolist(), strict=True)]),
         "failure_share": failed.astype(np.float64),
         "not_arrived_share": (~finished | (mean_error(tip_error, move_duration) > ARRIVAL_BOUND)).astype(np.float64),
-        "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
-        "torque_rate_rms": np.sqrt(np.mean(torque_rate**2, axis=0)),
+        "torque_rms": np.sqrt(_mean(torque**2)),
+        "torque_rate_rms": np.sqrt(_mean(torque_rate**2)),
         "torque_reversals_hz": torque_reversals(torque, REVERSAL_SWING * torque_limit) / (len(torque) * CONTROL_PERIOD),
-        "saturated_share": np.mean(np.abs(torque) >= torque_limit * (1 - 1e-6), axis=0),
+        "saturated_share": _mean(np.abs(torque) >= torque_limit * (1 - 1e-6)),
         "cost": cost,
     }
+
+
+def _mean(values: Floats | Flags) -> Floats:
+    """Average over time, shape (T, n); of each arm the same bits in any batch."""
+    arms = values.shape[1]
+    return np.mean(np.repeat(values, 2, axis=1) if arms == 1 else values, axis=0)[
+        :arms
+    ]  # one column is summed in pairs
 
 
 def mean_error(tip_error: Floats, move_duration: Floats) -> Floats:

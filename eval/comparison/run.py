@@ -16,7 +16,7 @@ from baselines.engines.parallel import SideBySide
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
-from eval.comparison.check import ActionTimes, times_of
+from eval.comparison.check import ActionTimes, first_failures, times_of
 from eval.comparison.custom import TIME_LIMIT
 from eval.comparison.methods import (
     PRIVILEGED,
@@ -93,11 +93,11 @@ def compare(
     require_writable(folder)
     _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
-    times, main = times_of(methods), main_split(list(scenarios.splits))
+    failed, main = first_failures(methods), main_split(list(scenarios.splits))
     parts = {
         (split.name, method.name): parts_of(method, split, episodes, perturbed=split.name == main)
         for split, method in product(scenarios.splits.values(), methods)
-        if not isinstance(times[method.name], Failure)
+        if method.name not in failed
     }
     in_order = [part for of_pair in parts.values() for part in of_pair]
     if fresh:
@@ -106,6 +106,8 @@ def compare(
     kept = kept_count(in_order, folder)
     results = iter(run_parts(in_order, folder, options, done))
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
+    # Only now, when processes have compiled kernels side by side.
+    times = times_of(method for method in methods if method.name not in failed) | failed
 
     measured, failures = list[tuple[Method, str, Metrics, ActionTimes]](), list[Failure]()
     for split, method in product(scenarios.splits, methods):

@@ -261,8 +261,7 @@ def test_an_error_behind_an_action_that_fits_is_raised_and_no_step_is_tried_agai
         calls.append(action)
         raise error("broken")
 
-    forms: tuple[Any, ...] = (np.zeros(1), np.zeros(1, np.float32))
-    for action in forms:
+    for action in list[Any]((np.zeros(1), np.zeros(1, np.float32))):
         monkeypatch.setattr(env, "_step_arm", broken)
         refused(error, ("broken",), lambda action=action: env.step(action))
     assert len(calls) == 2
