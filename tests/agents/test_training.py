@@ -54,8 +54,7 @@ def test_bundles_of_all_algorithms(name: str, whole_of: Any):
     spec, _ = read_spec(last)
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in last.iterdir())
     assert spec.provenance["curve"] == [list(point) for point in whole.curve]
-    validated = validate(load_controller(last), 4)
-    assert validated == spec.provenance["reached"]["validation"]
+    assert validate(load_controller(last), 4) == spec.provenance["reached"]["validation"]
     assert read_spec(whole.config.out / "best")[0].provenance["run"]["steps"] in (128, 256)
 
 
