@@ -238,12 +238,12 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             if given is action:
                 raise  # what failed is not the action
             result = step_arm(given)
-        observed, _, terminated, truncated, info = result
+        over, info = result[2] or result[3], result[4]
         if info["episode_steps"] == self._move_ends:
-            info |= self._end_move(observed, terminated or truncated)
-        if terminated or truncated:
+            info |= self._end_move(result[0], over)
+        if over:
             self._running, self._step_arm = False, None
-        if self._render_mode == "human":
+        if self._render_mode and self._render_mode == "human":  # twice, since most have none: that is quicker
             self.render()
         return result
 
