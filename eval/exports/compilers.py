@@ -85,7 +85,8 @@ def footprint(folder: Path, name: str, core: str) -> Footprint | None:
     with tempfile.TemporaryDirectory() as made:
         source, target = Path(made) / "one.c", Path(made) / "one.o"
         source.write_text(f'#include "{folder.resolve() / name}.c"\n{name} memory;\n')  # in the section of zeros
-        chain.build([source], target, "-c", "-fno-common", "-fcallgraph-info=su")
+        # The graph of calls names a function that is folded into an equal one, and does not have it.
+        chain.build([source], target, "-c", "-fno-common", "-fno-ipa-icf", "-fcallgraph-info=su")
         listed = subprocess.check_output([re.sub("gcc$", "size", path), str(target)], text=True).splitlines()[1]
         text, data, memory = map(int, listed.split()[:3])
         return Footprint(text + data, memory, _deepest(target.with_suffix(".ci").read_text()))
