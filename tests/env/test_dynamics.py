@@ -70,8 +70,8 @@ REAL: dict[str, tuple[str, Arm, Floats, driven_arms.Command, int, int]] = {
     "full arm, while the torque still rises": ("lagrangian", ARMS[1], MOVED, jolted, 300, 20),
     # Nearly 400 rad/s of the motor, as in the benchmark's moves. At 350 rad/s a ripple of 12 per turn has one period
     # per sample, which one step per sample would take for a constant torque.
-    "fast move": ("lumped", {**ARMS[0], "torque_ripple_order": 12}, at_rest(0.2), swing, 700, 1),
-    "fast move of the full arm": ("lagrangian", {**ARMS[0], "torque_ripple_order": 4}, at_rest(0.2), swing, 700, 1),
+    "fast move": ("lumped", {**ARMS[0], "torque_ripple_order": 12}, at_rest(0.2), swing, EPISODE_STEPS, 1),
+    "fast move of the full arm": ("lagrangian", {**ARMS[0], "torque_ripple_order": 4}, at_rest(0.2), swing, 1200, 1),
     "late": ("lumped", late(0.3, 0.0), MOVED, push, 300, 1),
     "later": ("lagrangian", late(2.7, 0.0002), MOVED, push, 300, 1),
     "slow current loop": ("lumped", late(3.0, 0.01), MOVED, push, 300, 0),
