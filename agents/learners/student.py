@@ -7,7 +7,8 @@ round
 
     1. new arms, and a move for each, are drawn, and the student makes the moves;
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
-    3. the student u is fitted to the last rounds' advice, through whole episodes: min sum w H(u - y), Huber's H.
+    3. the student u is fitted to the last rounds' advice: min sum w H(u - y), Huber's H. Its memory goes through whole
+       episodes, gradients through segments of them (truncated backpropagation through time).
 
 This is DAgger [1] with a teacher who is asked about the student's states alone, and a policy gradient without
 exploration noise: docs/science/learning.md says why it works where reinforcement learning does not.
@@ -43,7 +44,7 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.ranges import RANGES
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
-MAX_GRADIENT = 0.2
+MAX_GRADIENT = 5.0
 """Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 
@@ -73,7 +74,7 @@ class StudentConfig(RunConfig):
     """Arms of a round. Each makes one episode."""
     rounds: int = 18
     """Rounds of acting, asking the teacher and fitting. A run that is resumed may have more."""
-    remembered: int = 6
+    remembered: int = 12
     """Number of the last rounds whose advice is fitted."""
     epochs: int = 1
     """Passes over that advice in each round."""
@@ -82,6 +83,8 @@ class StudentConfig(RunConfig):
     validation_arms: int = 32
     batch_size: int = 16
     """Episodes in each gradient step."""
+    segment: int = 150
+    """Holds in each gradient step, through which gradients go back; the memory goes on from the last segment."""
     huber: float = 0.2
     """Threshold of the Huber loss, as a share of the torque limit."""
 
@@ -103,7 +106,7 @@ class StudentConfig(RunConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
-        require_bounds(self, gru_width=(0, None))
+        require_bounds(self, gru_width=(0, None), segment=(1, None))
         self.positive("huber", "torque_price")
         if self.moves > 1 and EPISODE_STEPS % self.hold:
             raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
@@ -207,19 +210,24 @@ class Student:
 
         errors, episodes = list[float](), labels.shape[1]
         network.to(config.device)
-        batches = -(-episodes // config.batch_size)
+        batches, segments = -(-episodes // config.batch_size), -(-len(labels) // config.segment)
         for epoch in range(config.epochs):
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
                 self.pause(0)
-                answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
-                error = (answers - labels[:, chosen].to(config.device)) * config.residual_limit
-                weight = weights[:, chosen].to(config.device)
-                losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
                 share_done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
-                self._regression.step((weight * losses).mean().mul(_SCALE), config.learning_rate_left(1 - share_done))
-                errors.append(float((weight * error.detach().square()).mean()))
+                rate = config.learning_rate_left(1 - share_done)
+                parts = (part[:, chosen].split(config.segment) for part in (inputs, labels, weights))
+                memory = None
+                for segment in zip(*parts, strict=True):
+                    seen, best, weight = (part.to(config.device) for part in segment)
+                    answers, memory = network(seen.float(), memory)
+                    memory = None if memory is None else memory.detach()
+                    error = (answers[..., 0] - best) * config.residual_limit
+                    losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
+                    self._regression.step((weight * losses).mean().mul(_SCALE), rate)
+                    errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
-        mean = float(np.mean(errors[-batches:]))
+        mean = float(np.mean(errors[-batches * segments :]))
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return mean

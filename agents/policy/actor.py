@@ -65,16 +65,23 @@ class Actor(Standardised):
         state = self.state_dict()
         return Weights(self.shape, {name: state[name].cpu().numpy().copy() for name in self.shape.arrays()})
 
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Outputs u before they are bounded, shape (T, n, 1), for n whole episodes of shape (T, n, inputs).
+    def forward(
+        self, observations: torch.Tensor, memory: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Outputs u before they are bounded, shape (T, n, 1), for T steps of n episodes, and the memory after them.
 
         Not for an actor with an LSTM, which is trained elsewhere.
+
+        Args:
+            observations: Of these steps, shape (T, n, inputs).
+            memory: That of the GRU after the step before; None at the beginning of the episodes.
         """
         assert self.lstm is None, "trained by its own library"
         features = self.standardised(observations) if self.shape.standardised else observations
         if self.gru is not None:
-            features = torch.cat([features, self.gru(features)[0]], dim=-1)
-        return self.layers(features)
+            remembered, memory = self.gru(features, memory)
+            features = torch.cat([features, remembered], dim=-1)
+        return self.layers(features), memory
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:

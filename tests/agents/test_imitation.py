@@ -146,18 +146,25 @@ def test_advice_on_a_shift():
     assert moving and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
 
 
-@pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
-def test_a_memory_tells_apart_what_looks_the_same(width: int, remembers: bool):
-    """Two episodes that differ in their first hold alone; what is the same in all training does not count."""
+@pytest.mark.parametrize(("width", "segment", "remembers"), [(6, 10, True), (6, 4, True), (0, 10, False)])
+def test_a_memory_tells_apart_what_looks_the_same(width: int, segment: int, remembers: bool):
+    """Two episodes that differ in their first hold alone; what is the same in all training does not count.
+
+    In segments of 4 holds a memory that the first one forms is used in all others.
+    """
     inputs = torch.zeros(10, 2, 27)
     inputs[0, 0, 3] = inputs[..., 25] = 1.0
     labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
-    learner = Student(tiny("student", Path("unused"), rounds=1, epochs=300, learning_rate=0.02, gru_width=width))
+    options = {"epochs": 300, "learning_rate": 0.02, "gru_width": width, "segment": segment}
+    learner = Student(tiny("student", Path("unused"), rounds=1, **options))
     learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2))]
     learner.fit()
     actor = learner._regression.network
-    late = actor(inputs)[-1, :, 0].detach().numpy()
-    torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), actor(inputs), rtol=0, atol=1e-5)
+    outputs, _ = actor(inputs)
+    late = outputs[-1, :, 0].detach().numpy()
+    torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25))[0], outputs, rtol=0, atol=1e-5)
+    first, memory = actor(inputs[:4])
+    torch.testing.assert_close(torch.cat([first, actor(inputs[4:], memory)[0]]), outputs, rtol=0, atol=1e-6)
     assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
