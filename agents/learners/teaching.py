@@ -33,6 +33,7 @@ import numpy as np
 import torch
 
 from agents.residual.controller import ResidualSettings
+from agents.residual.knowledge import ENTRIES
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN
@@ -52,6 +53,7 @@ class Advice(NamedTuple):
     inputs: torch.Tensor  # shape (holds of all moves, arms, inputs), half precision
     labels: torch.Tensor  # best residuals, shape (holds of all moves, arms)
     weights: torch.Tensor  # of mean 1, shape (holds, arms)
+    unseen: torch.Tensor  # what its filter is wrong by, shape (holds, arms, 2), see `unseen`; 0 without a filter
 
 
 class Recorder:
@@ -92,14 +94,36 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
         of_holds = np.add.reduceat(samples, np.arange(0, EPISODE_STEPS, hold), axis=0)
         return np.concatenate(np.split(of_holds, moves, axis=1))[:, stayed]
 
-    residuals = np.stack(recorder.residuals)[:, :, 0].astype(np.float64)
+    residuals, seen = np.stack(recorder.residuals)[:, :, 0].astype(np.float64), np.stack(recorder.inputs)
     by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
     penalised, prices = _penalised(recording, by_move * limit, hold)
     slopes, weights = sums(changes * curvatures - prices * penalised), sums(curvatures + prices)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
-    inputs = torch.from_numpy(np.stack(recorder.inputs)[:, stayed]).half()
-    labels, weights = torch.from_numpy(best.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
-    return Advice(inputs, labels, weights / weights.mean())
+    believes = settings.knowledge == "belief"
+    errors = unseen(recording, seen, hold) if believes else np.zeros((*seen.shape[:2], 2))
+    arrays = best, weights / weights.mean(), errors[:, stayed]
+    labels, weights, hidden = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
+    return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights, hidden)
+
+
+def states_before(recording: Recording, hold: int) -> Floats:
+    """States as each hold begins, shape (holds of all moves, arms, 4); zero at the very beginning."""
+    moves = map(recording.of_move, range(recording.num_moves))
+    states = np.concatenate([np.zeros((1, recording.num_arms, 4)), *(move.state for move in moves)])
+    return states[np.arange(len(states) - 1).reshape(recording.num_moves, -1)[:, ::hold].ravel()]
+
+
+def unseen(recording: Recording, inputs: Singles, hold: int) -> Floats:
+    """What the filter's torsion and its rate are wrong by as each hold begins, over their doubts' scales.
+
+    For inputs of shape (holds of all moves, arms, inputs), which end with the belief, it has shape (..., 2).
+    """
+    entries = {entry.name: (k - len(ENTRIES["belief"]), entry.scale) for k, entry in enumerate(ENTRIES["belief"])}
+    errors = states_before(recording, hold)[..., 2:]
+    for k, name in enumerate(("torsion", "torsion_speed")):
+        (at, scale), (_, doubt) = entries[f"believed_{name}"], entries[f"doubt_of_{name}"]
+        errors[..., k] = (errors[..., k] - scale * inputs[..., at]) / doubt
+    return errors
 
 
 def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:

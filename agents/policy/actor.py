@@ -65,12 +65,12 @@ class Actor(Standardised):
         state = self.state_dict()
         return Weights(self.shape, {name: state[name].cpu().numpy().copy() for name in self.shape.arrays()})
 
-    def forward(
+    def features(
         self, observations: torch.Tensor, memory: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Outputs u before they are bounded, shape (T, n, 1), for T steps of n episodes, and the memory after them.
+        """Inputs of the first layer, for T steps of n episodes, and the memory after them.
 
-        Not for an actor with an LSTM, which is trained elsewhere.
+        Not of an actor with an LSTM, which is trained elsewhere.
 
         Args:
             observations: Of these steps, shape (T, n, inputs).
@@ -81,7 +81,11 @@ class Actor(Standardised):
         if self.gru is not None:
             remembered, memory = self.gru(features, memory)
             features = torch.cat([features, remembered], dim=-1)
-        return self.layers(features), memory
+        return features, memory
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Outputs u before they are bounded, shape (T, n, 1), for n whole episodes of shape (T, n, inputs)."""
+        return self.layers(self.features(observations)[0])
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:

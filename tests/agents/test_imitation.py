@@ -24,6 +24,7 @@ from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
+from agents.residual.knowledge import offered
 from agents.runs.command_line import begun_options
 from agents.runs.training import News, TrainingMonitor, validate
 from baselines import CONTROLLERS
@@ -144,33 +145,36 @@ def test_advice_on_a_shift():
     c, h = changes[40:44, 3], curvatures[40:44, 3]
     best = 0.1 + (h * c - 0.02).sum() / (h + 1).sum() / 0.2
     assert moving and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
+    believed = [entry.name for entry in offered("belief")].index("believed_torsion_speed")
+    wrong_by = recording.state[39, 3, 3] - 0.2 * recorder.inputs[310][1, believed]
+    assert wrong_by != 0 and float(advice.unseen[310, 1, 1]) == pytest.approx(wrong_by / 0.03, abs=1e-4)
 
 
 @pytest.mark.parametrize(("width", "segment", "remembers"), [(6, 10, True), (6, 4, True), (0, 10, False)])
 def test_a_memory_tells_apart_what_looks_the_same(width: int, segment: int, remembers: bool):
-    """Two episodes that differ in their first hold alone; what is the same in all training does not count.
-
-    In segments of 4 holds a memory that the first one forms is used in all others.
-    """
+    """Two episodes that differ in their first hold alone; what is the same in all training does not count."""
     inputs = torch.zeros(10, 2, 27)
     inputs[0, 0, 3] = inputs[..., 25] = 1.0
     labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
-    options = {"epochs": 300, "learning_rate": 0.02, "gru_width": width, "segment": segment}
-    learner = Student(tiny("student", Path("unused"), rounds=1, **options))
-    learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2))]
+    fit = {"rounds": 1, "epochs": 300, "learning_rate": 0.02}
+    learner = Student(tiny("student", Path("unused"), **fit, gru_width=width, segment=segment))
+    told = torch.stack([labels, -labels], dim=2)
+    learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2), told)]
     learner.fit()
     actor = learner._regression.network
-    outputs, _ = actor(inputs)
+    outputs = actor(inputs)
     late = outputs[-1, :, 0].detach().numpy()
-    torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25))[0], outputs, rtol=0, atol=1e-5)
-    first, memory = actor(inputs[:4])
-    torch.testing.assert_close(torch.cat([first, actor(inputs[4:], memory)[0]]), outputs, rtol=0, atol=1e-6)
+    torch.testing.assert_close(actor(inputs * (torch.arange(27) != 25)), outputs, rtol=0, atol=1e-5)
+    first, memory = actor.features(inputs[:4])
+    torch.testing.assert_close(actor.layers(torch.cat([first, actor.features(inputs[4:], memory)[0]])), outputs)
     assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
+    assert (float((actor.estimates(actor.features(inputs)[0]) - told).detach().abs().max()) < 0.2) == remembers
 
 
 def test_rounds_whose_arms_all_left_teach_nothing():
     learner = Student(tiny("student", Path("unused")))
-    learner.advice = [Advice(torch.zeros(30, 0, 27).half(), torch.zeros(30, 0), torch.zeros(30, 0))]
+    nothing = torch.zeros(30, 0)
+    learner.advice = [Advice(torch.zeros(30, 0, 27).half(), nothing, nothing, torch.zeros(30, 0, 2))]
     assert learner.fit() == 0.0 and torch.isfinite(learner.actor().mean).all()
 
 

@@ -39,7 +39,7 @@ def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
 
 def by_torch(actor: Actor, seen: Singles) -> Singles:
     shape, inputs = actor.shape, torch.from_numpy(seen)
-    outputs = actor.layers(actor.lstm(inputs)[0]) if actor.lstm is not None else actor(inputs)[0]
+    outputs = actor.layers(actor.lstm(inputs)[0]) if actor.lstm is not None else actor(inputs)
     bounded = torch.tanh(outputs) if shape.squashed else outputs.clamp(-1, 1)
     return bounded[..., 0].numpy()
 
