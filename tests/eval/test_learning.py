@@ -10,7 +10,6 @@ from commands import mistake
 from studies import hurry, try_study
 
 from agents.learners.registry import ALGORITHMS
-from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
@@ -56,15 +55,13 @@ def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path
     assert again["scores"] == result["scores"] and result["scores"]["left_percent"] == 0
     assert [point[0] for point in again["curve"]] == [point[0] for point in result["curve"]]
     monkeypatch.setattr(runs, "train", None)
-    options = learning.Options(runs=run.runs, only=("default",), samples=5_000, quick=True, seeds=1, arms=4)
-    assert learning.run_all(learning.planned(options), options, lambda _: None, StopRequest()) == {run.label: result}
+    assert run.finished(4) == result
 
 
 def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict[str, Any]], tmp_path: Path):
     shutil.copytree(done[0].runs, tmp_path / "runs")
     run = Run(DEFAULT, 0, 5_000, tmp_path / "runs", quick=True)
-    record = run.folder / "ablation.json"
-    kept = json.loads(record.read_text())
+    kept = json.loads((record := run.folder / "ablation.json").read_text())
     for other, arms in ((Run(DEFAULT, 0, 50_000, run.runs, quick=True), 4), (run, 5)):
         with pytest.raises(ValueError, match="--runs"):
             other.finished(arms)
@@ -72,19 +69,12 @@ def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict
         record.write_text(json.dumps(wrong))
         with pytest.raises(ValueError, match=complaint):
             run.finished(4)
-
-
-def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
-    options, stop = learning.Options(runs=tmp_path, only=("default",), quick=True, seeds=1), StopRequest()
-    stop.made = True
-    with pytest.raises(KeyboardInterrupt, match="same command"):
-        learning.run_all(learning.planned(options), options, lambda _: None, stop)
     with pytest.raises(ValueError, match=r"bad, seed 0: .*3.0"):
         Run(Variant("bad", "limit", "bad", ("--residual-limit", "3")), 0, 5_000, tmp_path, quick=True).finish(4)
 
 
-@pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O"), ("--storage", "there"), ("--bin-arms", "6")])
+@pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O")])
 def test_bad_options(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(learning, "run_all", None)  # nothing is trained before
+    monkeypatch.setattr(learning, "calls_side_by_side", None)  # nothing is trained before
     line = mistake(study.main, ("learning", *words), tmp_path)
     assert words[0] in line and words[1] in line

@@ -6,9 +6,6 @@ interrupted ones continue. Beside them are the learning curves of the shipped po
 """
 
 import shlex
-import sys
-from collections.abc import Callable
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -21,16 +18,14 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from agents.policy.bundle import POLICIES
 from agents.residual.bases import make_base
-from agents.runs.checkpoint import CHECKPOINT
-from baselines.engines.parallel import Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
-from baselines.engines.workplace import WithStorage, Workplace
 from baselines.tools.command import require_known
 from baselines.tools.files import require_writable
 from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.rollouts import calls_side_by_side
 from eval.report.curves import BEST_CLASSICAL, Curve, classical_cost, curves_figure, find_curves, levels
 from eval.report.style import COLOURS, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
-from eval.studies.learning import bins
+from eval.studies.learning import bins, limits
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
 QUICK = {
@@ -40,15 +35,19 @@ QUICK = {
     "arms": 4,
     "runs": Path("runs/ablations-quick"),
     "bins": 1,
-    "bin_arms": 5,
+    "bin_arms": 1,
+    "advice_arms": 2,
+    "jobs": 1,
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options(StudyOptions, WithStorage):
+@dataclass(frozen=True)
+class Options(StudyOptions):
     """Options of the study."""
 
-    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000), bins=(1, 100), bin_arms=(5, 100))
+    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000), jobs=(1, 256)) | Bounds(
+        bins=(1, 100), bin_arms=(1, 20), advice_arms=(1, 800)
+    )
 
     runs: Path = Path("runs/ablations")
     """Folder of the runs. Finished runs are kept and not repeated."""
@@ -62,19 +61,21 @@ class Options(StudyOptions, WithStorage):
     """Arms on which the last policy is scored."""
     bins: int = 20
     """Bins of presliding, of friction and of payload, in which shipped policies are compared with the base."""
-    bin_arms: int = 40
-    """Arms of a bin, a multiple of 5, the number of a method's policies."""
+    bin_arms: int = 8
+    """Arms of a bin for each of a method's policies."""
+    advice_arms: int = 192
+    """Arms for each of the shipped students, on which the teacher's advice to them is predicted."""
+    jobs: int | None = None
+    """Processes that run side by side. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:
     """Train and score what is not kept, and read the curves of the shipped policies."""
-    options.check_engine()
-    bins.check(options.bin_arms)
     plan = planned(options)
     require_writable(options.runs)
-    tell, stop = partial(print, file=sys.stderr, flush=True), StopRequest()
-    with stop_on_signals(stop, lambda: tell("stopping after these updates; press Ctrl-C again to stop at once")):
-        results = run_all(plan, options, tell, stop)
+    kept = {run.label: run.finished(options.arms) for run in plan}  # refused before any training
+    calls = {run.label: partial(run.finish, options.arms) for run in plan if kept[run.label] is None}
+    results = kept | calls_side_by_side("trainings", calls, options.jobs)
     variants = [
         {**asdict(variant), "runs": [results[run.label] for run in plan if run.variant == variant]}
         for variant in chosen(options.only)
@@ -92,6 +93,7 @@ def measure(options: Options) -> dict[str, Any]:
         "validated": [[arms, moves, classical_cost(arms, moves)] for arms, moves in sorted(validated)],
         "shipped": shipped,
         "bins": bins.measure(options.bins, options.bin_arms, options.jobs),
+        "limits": limits.measure(options.advice_arms, options.jobs),
         "shipped_levels": levels(shipped),
     }
 
@@ -114,38 +116,6 @@ def planned(options: Options) -> list[Run]:
     seeds, variants = range(options.seeds), chosen(options.only)
     pairs = [(variant, seed) for seed in seeds for variant in variants if seed == 0 or not variant.once]
     return [Run(variant, seed, options.samples, options.runs, options.quick) for variant, seed in pairs]
-
-
-def run_all(plan: list[Run], options: Options, tell: Callable[[str], object], stop: StopRequest) -> dict[str, Any]:
-    """Results of runs, by label; those that had finished before are only read. `tell` gets lines of text.
-
-    Raises:
-        ValueError: If runs fail, once the others are through; finished ones are kept.
-        OSError: If files cannot be written, or processes broke off.
-        KeyboardInterrupt: If asked to stop; what was begun is saved.
-    """
-    results: dict[str, Any] = {run.label: run.finished(options.arms) for run in plan}
-    left = {run.label: run for run in plan if results[run.label] is None}
-    tell(f"{len(plan)} run{'s' if len(plan) > 1 else ''}, {len(plan) - len(left)} finished before")
-    failures: list[str] = []
-    with Workplace(options, options.runs) as workplace:
-        tasks = {}
-        for label, run in left.items():
-            workplace.prepare(label, run.folder, resume=True)
-            tasks[label] = workplace.task(label, run.folder, partial(run.finish, options.arms), CHECKPOINT)
-        with closing(run_side_by_side(tasks, options, stop=stop)) as outcomes:
-            for label, done in outcomes:
-                workplace.collect(label, left[label].folder)
-                if not isinstance(done, Failure):
-                    results[label] = done
-                    tell(f"{label}: cost {done['scores']['cost_mean']:.0f}, {done['minutes']:.1f} min")
-                elif not isinstance(done.error, Interrupted):
-                    failures.append(done.message)
-    if failures:
-        raise ValueError("; ".join(failures))
-    if stop.made:
-        raise KeyboardInterrupt("interrupted; all runs that had started are saved, and the same command continues")
-    return results
 
 
 # Page

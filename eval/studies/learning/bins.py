@@ -3,6 +3,7 @@
 In each bin one constant of the arms lies between two bounds. All others are drawn as in training.
 """
 
+import math
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -47,23 +48,13 @@ COMPARED = {"cost": "cost", "torque_rate_rms": "torque rate", "torque_reversals_
 _MOVES = 2  # one with a part, one without
 
 
-def check(arms: int) -> None:
-    """Check that the policies of each method can share the arms of a bin equally.
-
-    Raises:
-        ValueError: If they cannot.
-    """
-    for method in METHODS:
-        if arms % (count := len(_policies(method))):
-            raise ValueError(f"--bin-arms must be a multiple of {count}, the policies of {method}, got {arms}")
-
-
 def _policies(method: str) -> list[Path]:
     return sorted((POLICIES / method).glob("seed*"))
 
 
 def measure(bins: int, arms: int, jobs: int | None) -> dict[str, list[dict[str, Any]]]:
-    """Measure ratios to the best classical controller in each bin of each of `DIVIDED`; some arms in each."""
+    """Measure ratios to the best classical controller in each bin of each of `DIVIDED`; some arms for each policy."""
+    arms *= math.lcm(*(len(_policies(method)) for method in METHODS))
     results = side_by_side("bins", ratios, [(name, k, bins, arms) for name in DIVIDED for k in range(bins)], jobs)
     return {name: [results[name, k, bins, arms] for k in range(bins)] for name in DIVIDED}
 

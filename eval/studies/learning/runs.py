@@ -16,11 +16,10 @@ import numpy as np
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
-from agents.policy.bundle import BundleError, load_controller, read_spec
+from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.settings import RunConfig
 from agents.runs.training import SCORES, train
-from baselines.engines.parallel import Channel
 from baselines.tools.files import write_text
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
@@ -31,7 +30,6 @@ from eval.report.curves import find_curves
 
 _VALIDATIONS = 8  # per run, and rounds of a student
 _RECORD = "ablation.json"
-_VALIDATION_ARMS = 32
 
 
 class Factor(NamedTuple):
@@ -58,9 +56,8 @@ FACTORS = {
     "learner": Factor("Which way of learning?", "student, on adaptive"),
     "arms": Factor("Which arms should it be trained on?", "shifts"),
     "told": Factor("What must it be told of the arm?", "belief of the filter"),
-    "memory": Factor("What is its memory worth?", "GRU of 96"),
+    "memory": Factor("What is its memory worth?", "GRU of 96, which also learns to see torsion"),
     "base": Factor("Which controller should it correct?", "adaptive"),
-    "price": Factor("What should changes of the torque cost?", "5 times the task's price"),
 }
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
@@ -77,8 +74,8 @@ VARIANTS = (
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
+    Variant("advice", "memory", "GRU of 96, fitted to advice alone", ("--observing", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
-    Variant("price-1", "price", "the task's price", ("--torque-price", "1"), once=True),
 )
 
 
@@ -112,7 +109,7 @@ class Run:
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
         budget = self._budget(parse(ALGORITHMS[self.variant.script], arguments=list(self.variant.options)))
-        script, arms = f"train/{self.variant.script}.py", 4 if self.quick else _VALIDATION_ARMS
+        script, arms = f"train/{self.variant.script}.py", 4 if self.quick else 32
         shared = ("--validation-arms", arms, "--seed", self.seed)
         return [str(word) for word in (script, *budget, *self.variant.options, *shared)]
 
@@ -137,44 +134,32 @@ class Run:
         """Result of an earlier call, if it finished.
 
         Raises:
-            ValueError: If the folder holds another run, or one of other code, or whose base or filter has other gains.
+            ValueError: If the folder holds another run, or one of other code or gains.
         """
         record = self.folder / _RECORD
         if not record.exists():
             return None
         try:
             kept = json.loads(record.read_text(encoding="utf-8"))
-            if (kept["command"], kept["arms"]) != (self.command, arms):
-                raise BundleError(
-                    f"is of `{kept['command']}` on {kept['arms']} arms, not of `{self.command}` on {arms}"
-                )
-            if kept["digest"] != training_digest():
-                raise BundleError("was trained by other code than today's")
-            read_spec(self.folder / "last")
-        except BundleError as error:
-            problem = str(error)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            problem = f"is damaged ({error!r})"
-        else:
-            return kept
-        raise ValueError(f"{record}: {problem}; delete {self.folder}, or choose another --runs")
+            if (kept["command"], kept["arms"], kept["digest"]) == (self.command, arms, training_digest()):
+                return kept
+        except (ValueError, KeyError, TypeError):
+            pass
+        wrong = f"damaged, of other code or gains, or not of `{self.command}` on {arms} arms"
+        raise ValueError(f"{record} is {wrong}; delete {self.folder}, or choose another --runs")
 
-    def finish(self, arms: int, place: Path | None = None, channel: Channel | None = None) -> dict[str, Any]:
+    def finish(self, arms: int) -> dict[str, Any]:
         """Train, going on where an interrupted run stopped, and score the last policy on some arms.
-
-        By default it works in the folder of the run; `channel` gets news, and asks to stop.
 
         Raises:
             ValueError: If the training fails, with its own message, or the folder holds another run.
-            Interrupted: If it was asked to stop; it is saved.
         """
-        place = place or self.folder
         try:
-            train_run(self.words, self.folder, place, channel)
+            train_run(self.words, self.folder)
         except ValueError as error:
             raise ValueError(f"{self.variant.name}, seed {self.seed}: {error}") from error
-        spec, _ = read_spec(place / "last")
-        (curve,) = find_curves([place / "last"])
+        spec, _ = read_spec(self.folder / "last")
+        (curve,) = find_curves([self.folder / "last"])
         points = np.stack([curve.steps, curve.minutes, curve.cost], axis=1)
         result = {
             "seed": self.seed,
@@ -184,12 +169,12 @@ class Run:
             "digest": training_digest(),
             "minutes": round(float(curve.minutes[-1]), 2),
             "arms": arms,
-            "scores": score(load_controller(place / "last"), arms, spec.sensors),
+            "scores": score(load_controller(self.folder / "last"), arms, spec.sensors),
             "curve": [[round(float(value), 4) for value in point] for point in points],
             "validation_arms": curve.arms,
             "moves": curve.moves,
         }
-        write_text(place / _RECORD, json.dumps(result, indent=2) + "\n")
+        write_text(self.folder / _RECORD, json.dumps(result, indent=2) + "\n")
         return result
 
 
@@ -198,13 +183,12 @@ def _arms(samples: int, rounds: int, moves: int) -> int:
     return max(samples // (rounds * moves * EPISODE_STEPS), 1)
 
 
-def train_run(words: list[str], out: Path, place: Path, channel: Channel | None) -> None:
+def train_run(words: list[str], out: Path) -> None:
     """Run a training by the words of its command, from its checkpoint if there is one; errors as of `train`."""
     script, *options = words
-    resume = ["--resume"] if RunFolder(place).checkpoint.exists() else []
+    resume = ["--resume"] if RunFolder(out).checkpoint.exists() else []
     arguments = [*options, "--out", str(out), *resume]
-    config = parse(ALGORITHMS[Path(script).stem], arguments=arguments)
-    train(config, channel, shlex.join(["python", script, *arguments]), place)
+    train(parse(ALGORITHMS[Path(script).stem], arguments=arguments), command=shlex.join(["python", script, *arguments]))
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
