@@ -103,10 +103,16 @@ class Observer(Standardised):
         """Estimates q and their deviations sigma in the quantities' units."""
         return self.believed(inputs) + self.error * g, self.error * s.exp()
 
-    def forward(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Corrections g and logarithms s, shape (T, n, quantities), for n whole episodes of shape (T, n, inputs)."""
+    def forward(
+        self, inputs: torch.Tensor, memory: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Corrections g and logarithms s, shape (T, n, quantities), and the GRU's memory after T steps of n episodes.
+
+        Inputs have shape (T, n, inputs); the memory is None where episodes begin.
+        """
         features = self.standardised(inputs)
-        return self._answer(features, self.gru(features)[0])
+        remembered, following = self.gru(features, memory)
+        return *self._answer(features, remembered), following
 
     def observe(
         self, seen: Singles, memory: Singles | None = None, episode_start: Flags | None = None

@@ -1,9 +1,9 @@
 """Run that fits an observer: options, episodes, fit, and the file.
 
-The episodes are of arms of the training ranges under the torques of many controllers: an observer that has seen one
-controller's torques alone would take that controller's habits for the arm's. Some of the torques are disturbed besides,
-by noise of first order of a size that differs from arm to arm. They are simulated in blocks, kept beside the file until
-it is written: an interrupted run goes on with those that it has.
+The episodes are working shifts, of arms of the training ranges under the torques of many controllers: an observer that
+has seen one controller's torques alone would take that controller's habits for the arm's. Some of the torques are
+disturbed besides, by noise of first order of a size that differs from arm to arm. They are simulated in blocks, kept
+beside the file until it is written: an interrupted run goes on with those that it has.
 
 The fit is the least negative log-likelihood of the truth, by Adam; what acts is the running average of the weights.
 """
@@ -50,14 +50,17 @@ from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.physics.drive import belt_motions, built_drive
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.sources import sources_digest
+from beltarm_env.task.ranges import RANGES, Randomization
 from beltarm_env.task.seeds import OBSERVER
 
 STUDENT = POLICIES / "student" / "seed0"
 """Policy that acts where a source is the student."""
 _MEMORY = 0.97  # of the noise from sample to sample: 50 ms
-_MAX_GRADIENT = 1.0
+_MAX_GRADIENT = 5.0
 _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
-_BLOCK = 512  # episodes that are simulated side by side, and kept in one file
+_BLOCK = 128  # episodes that are simulated side by side, and kept in one file
+_MOVES = 4
+_SEGMENT = 600  # samples through which gradients go back; the memory goes on to the next segment
 
 
 @dataclass(frozen=True)
@@ -73,15 +76,15 @@ class ObserverConfig:
     ("none")."""
     hold: int = 4
     """Samples between two estimates."""
-    width: int = 32
+    width: int = 64
     """Width of the GRU."""
-    episodes: int = 12_288
-    """Episodes to simulate, each on its own arm."""
+    episodes: int = 3_072
+    """Episodes to simulate, each a working shift of four moves with an arm of its own."""
     epochs: int = 4
     """Passes over all episodes."""
-    learning_rate: float = 3e-3
+    learning_rate: float = 2e-3
     """Learning rate at the start. It falls to zero."""
-    batch_size: int = 32
+    batch_size: int = 16
     """Episodes in each gradient step."""
     seed: int = 0
     """Seed of the weights and of the order of episodes. The arms are always the same."""
@@ -201,12 +204,16 @@ def _logs(table: Floats) -> Floats:
     return np.log(constants / nominal[columns]) - np.log1p(table[:, [COLUMN.torque_constant_error]])
 
 
-def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
-    """Run a source on arms seeded from `first` on, and leave out those that leave their workspace."""
+def simulate(
+    source: Source, observer: Observer, first: int, count: int, randomization: Randomization = "train"
+) -> Episodes:
+    """Run a source on shifts of arms seeded from `first` on, and leave out those that leave their workspace."""
     disturbed = Disturbed(source, observer, first, count)
-    recording = rollout(disturbed, count, seed=first, randomization="train")
-    stayed = np.flatnonzero(recording.finished)
-    inputs, true = np.stack(disturbed.inputs)[:, stayed], truth(recording, observer.hold)[:, stayed]
+    recording = rollout(disturbed, count, seed=first, randomization=randomization, moves=_MOVES)
+    moves = [recording.of_move(move) for move in range(_MOVES)]
+    stayed = np.flatnonzero(moves[-1].finished)
+    true = np.concatenate([truth(move, observer.hold) for move in moves])[:, stayed]
+    inputs = np.stack(disturbed.inputs)[:, stayed]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
 
 
@@ -237,22 +244,31 @@ def _depends_on() -> str:
 
 
 def _simulate(observer: Observer, offset: int, count: int, file: Path, _: Channel) -> None:
-    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on."""
+    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on.
+
+    In every other block parts are as light as those of a single move, and motors do not give, as for a student.
+    """
+    ranges = RANGES["train"] if offset // _BLOCK % 2 else "train"
     ends = np.linspace(0, count, len(SOURCES) + 1).round().astype(int)
     spans = zip(SOURCES, OBSERVER.first + offset + ends[:-1], np.diff(ends), strict=True)
-    parts = [simulate(source, observer, int(first), int(size)) for source, first, size in spans if size]
+    parts = [simulate(source, observer, int(first), int(size), ranges) for source, first, size in spans if size]
     write_atomically(file, lambda path: path.write_bytes(save(Episodes.joined(parts)._asdict())))
 
 
 # Fit
 
 
-def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Tensor:
-    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e, cut at `_FARTHEST`."""
+def negative_log_likelihood(
+    observer: Observer, episodes: Episodes, memory: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e, cut at `_FARTHEST`.
+
+    It is that of a segment which begins with a memory; the second value is the memory after it.
+    """
     inputs = episodes.inputs.float()
-    g, s = observer(inputs)
+    g, s, following = observer(inputs, memory)
     d = ((episodes.truth - observer.believed(inputs)) / observer.error).clamp(-_FARTHEST, _FARTHEST)
-    return (0.5 * ((d - g) / s.exp()).square() + s).mean()
+    return (0.5 * ((d - g) / s.exp()).square() + s).mean(), following
 
 
 def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Iterator[tuple[float, float]]:
@@ -273,11 +289,14 @@ def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Itera
     count = episodes.truth.shape[1]
     batches = [rows for _ in range(config.epochs) for rows in torch.randperm(count).split(config.batch_size)]
     for k, rows in enumerate(batches):
-        loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
-        if not np.isfinite(loss.item()):
-            raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
-        regression.step(loss, config.learning_rate * (1 - k / len(batches)))
-        yield (k + 1) / len(batches), loss.item()
+        memory = None
+        for segment in zip(*(part[:, rows].split(max(_SEGMENT // observer.hold, 1)) for part in episodes), strict=True):
+            loss, memory = negative_log_likelihood(network, Episodes(*segment), memory)
+            memory = memory.detach()
+            if not np.isfinite(loss.item()):
+                raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
+            regression.step(loss, config.learning_rate * (1 - k / len(batches)))
+            yield (k + 1) / len(batches), loss.item()
     observer.load_state_dict(regression.averaged().state_dict())
 
 

@@ -70,7 +70,7 @@ class TestEstimates:
         seen = np.random.default_rng(0).standard_normal((6, 3, len(offered("belief")))).astype(np.float32)
         inputs = torch.from_numpy(seen[:, :, observer.columns])
         with torch.no_grad():
-            mean, deviation = observer.estimated(inputs, *observer(inputs))
+            mean, deviation = observer.estimated(inputs, *observer(inputs)[:2])
         memory = None
         for k in range(6):
             estimate, memory = observer.observe(seen[k], memory)
@@ -109,7 +109,7 @@ def test_a_fit_finds_what_can_be_known_and_says_how_well():
     fresh = made_up(64, seed=1)
     inputs = fresh.inputs.float()
     with torch.no_grad():
-        mean, deviation = observer.estimated(inputs, *observer(inputs))
+        mean, deviation = observer.estimated(inputs, *observer(inputs)[:2])
     z = ((fresh.truth - mean) / deviation).numpy()
     assert 0.64 < (np.abs(z) <= 1).mean() < 0.72
     certain = (inputs[:, :, 0] < -1).numpy()
@@ -166,8 +166,7 @@ class TestRun:
         monkeypatch.setattr(running, "simulate", None)
         running.run(config)
         assert [path.name for path in tmp_path.iterdir()] == ["o.safetensors"]
-        _, content = load_observer(config.file)
-        assert content["provenance"]["run"]["episodes"] == 6
+        assert load_observer(config.file)[1]["provenance"]["run"]["episodes"] == 6
 
     def test_what_is_out_of_range_is_refused(self, tmp_path: Path):
         for name, value in (("width", 0), ("width", 129), ("hold", 0), ("hold", 1.5), ("width", True)):
