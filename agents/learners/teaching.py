@@ -36,15 +36,19 @@ from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import ENTRIES
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
+from beltarm_env import observation as layout
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, Recording
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
+from beltarm_env.timing import CONTROL_PERIOD
 
 _PRICE, _PRICE_AT_REST = 1.0, 3.0  # p and p_0, over the torque limit squared; h is about 5
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
+_ELAPSED = [entry.name for entry in layout.ENTRIES["encoder"]].index("elapsed_time")
+_SCALE_OF_TIME = layout.ENTRIES["encoder"][_ELAPSED].scale / CONTROL_PERIOD  # to samples
 
 
 class Advice(NamedTuple):
@@ -57,7 +61,7 @@ class Advice(NamedTuple):
 
 
 class Recorder:
-    """Policy whose inputs and residuals are kept, one of each per hold of an episode; `pause` is called before each."""
+    """Policy whose inputs and residuals are kept, of each call; `pause` is called before each."""
 
     def __init__(self, policy: Controller, pause: Callable[[int], object] = lambda _: None) -> None:
         self._policy = policy
@@ -75,6 +79,15 @@ class Recorder:
         self.residuals.append(residual)
         return residual, memory
 
+    def held(self, arm: int, hold: int) -> tuple[Singles, Floats]:
+        """Inputs and residuals as each hold of this arm began, shape (holds, arms, inputs) and (holds, arms).
+
+        An arm that left its workspace and began anew was asked for at other samples.
+        """
+        inputs = np.stack(self.inputs)
+        began = np.rint(inputs[:, arm, _ELAPSED] * _SCALE_OF_TIME).astype(int) % hold == 0
+        return inputs[began], np.stack(self.residuals)[began, :, 0].astype(np.float64)
+
 
 def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings, price: float = 1.0) -> Advice:
     """Say for every hold of every arm what a student should have done; only of arms that stayed in their workspace.
@@ -86,15 +99,19 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
         price: See `best_changes`.
     """
     hold, limit, moves = settings.hold, settings.limit, recording.num_moves
-    changes, curvatures = best_changes(recording, price, recorder.pause)
     stayed = np.flatnonzero(recording.finished[-recording.num_arms :])
+    if not len(stayed):  # and so the episodes broke off
+        nothing = torch.zeros(moves * -(-EPISODE_STEPS // hold), 0)
+        inputs = torch.zeros(*nothing.shape, recorder.inputs[0].shape[1]).half()
+        return Advice(inputs, nothing, nothing, torch.zeros(*nothing.shape, 2))
+    changes, curvatures = best_changes(recording, price, recorder.pause)
 
     def sums(samples: Floats) -> Floats:
         """Sums over holds, the last of a move may be shorter, of arms that stayed: shape (holds of all moves, arms)."""
         of_holds = np.add.reduceat(samples, np.arange(0, EPISODE_STEPS, hold), axis=0)
         return np.concatenate(np.split(of_holds, moves, axis=1))[:, stayed]
 
-    residuals, seen = np.stack(recorder.residuals)[:, :, 0].astype(np.float64), np.stack(recorder.inputs)
+    seen, residuals = recorder.held(stayed[0], hold)
     by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
     penalised, prices = _penalised(recording, by_move * limit, hold)
     slopes, weights = sums(changes * curvatures - prices * penalised), sums(curvatures + prices)

@@ -45,7 +45,7 @@ ARMS = 6
 
 
 class Constant:
-    def __init__(self, residual: float) -> None:
+    def __init__(self, residual: float | NDArray[np.float64]) -> None:
         self.residual = residual
 
     def predict(self, observation: NDArray[np.float32], *_: Any, **__: Any) -> tuple[NDArray[np.float32], None]:
@@ -107,8 +107,7 @@ def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Record
         actual = (up - down) / (2 * step)
         moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0
         assert moving.sum() >= 4
-        scale = np.abs(actual[moving]).max()
-        np.testing.assert_allclose(reported[moving], actual[moving], atol=0.03 * scale)
+        np.testing.assert_allclose(reported[moving], actual[moving], atol=0.03 * np.abs(actual[moving]).max())
 
 
 @pytest.mark.parametrize(("residual", "hold"), [(0.0, 1), (0.2, 7)])
@@ -141,13 +140,24 @@ def test_advice_on_a_shift():
     np.testing.assert_array_equal(states[0, 2:, :4], recording.state[-1, :-2])
     advice, (changes, curvatures) = advise(recording, recorder, settings), best_changes(recording)
     assert advice.labels.shape == (3 * 300, 2) and 0 < curvatures.min() <= curvatures.max() < 100
-    moving = (recording.state[39:44, 3, 1] != 0).all()  # hold 10 of move 1 of arm 1
     c, h = changes[40:44, 3], curvatures[40:44, 3]
     best = 0.1 + (h * c - 0.02).sum() / (h + 1).sum() / 0.2
-    assert moving and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
+    assert (recording.state[39:44, 3, 1] != 0).all() and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
     believed = [entry.name for entry in offered("belief")].index("believed_torsion_speed")
     wrong_by = recording.state[39, 3, 3] - 0.2 * recorder.inputs[310][1, believed]
     assert wrong_by != 0 and float(advice.unseen[310, 1, 1]) == pytest.approx(wrong_by / 0.03, abs=1e-4)
+
+
+def test_an_arm_that_leaves_changes_no_advice_to_others():
+    """It begins anew in the middle of the others' holds. Where all leave there is no advice."""
+    settings, advice, task = ResidualSettings(limit=2.0, hold=4), [], {"randomization": "train", "moves": 2}
+    for residuals in ([[0.0], [0.0]], [[1.0], [0.0]], [[1.0], [1.0]]):
+        recorder = Recorder(Constant(np.array(residuals)))
+        controller = ResidualController(CONTROLLERS["paper"](), recorder, settings)
+        advice.append(advise(rollout(controller, 2, seed=SEED, **task), recorder, settings))
+    both, one, none = advice
+    assert torch.equal(both.labels[:, 1:], one.labels) and torch.equal(both.unseen[:, 1:], one.unseen)
+    assert [part.shape for part in none] == [(600, 0, *part.shape[2:]) for part in both]
 
 
 @pytest.mark.parametrize(("width", "segment", "remembers"), [(6, 10, True), (6, 4, True), (0, 10, False)])
@@ -173,8 +183,7 @@ def test_a_memory_tells_apart_what_looks_the_same(width: int, segment: int, reme
 
 def test_rounds_whose_arms_all_left_teach_nothing():
     learner = Student(tiny("student", Path("unused")))
-    nothing = torch.zeros(30, 0)
-    learner.advice = [Advice(torch.zeros(30, 0, 27).half(), nothing, nothing, torch.zeros(30, 0, 2))]
+    learner.advice = [Advice(torch.zeros(9, 0, 27).half(), torch.zeros(9, 0), torch.zeros(9, 0), torch.zeros(9, 0, 2))]
     assert learner.fit() == 0.0 and torch.isfinite(learner.actor().mean).all()
 
 
@@ -191,8 +200,9 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
     """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
     folder, _ = whole
     config = tiny("student", tmp_path)
-    holds = EPISODE_STEPS // config.hold
-    first_round = holds + config.arms + config.epochs * config.arms // config.batch_size
+    first_round = (
+        (holds := EPISODE_STEPS // config.hold) + config.arms + config.epochs * config.arms // config.batch_size
+    )
     for number, looks in enumerate((17, holds + 2, first_round - 1, first_round + 10)):
         refused(Interrupted, ("steps",), partial(run, replace(config, resume=number > 0), StopAfter(looks)))
         torch.manual_seed(9)
@@ -203,8 +213,7 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
 
 
 def test_what_is_left_is_a_policy_with_its_score(whole: tuple[Path, list[int]]):
-    folder, seeds = whole
-    spec, _ = read_spec(folder / "last")
+    (folder, seeds), (spec, _) = whole, read_spec(whole[0] / "last")
     assert (spec.algorithm, spec.base, spec.gru) == ("student", "paper", 6)
     scores = validate(load_controller(folder / "last"), 2)
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]

@@ -28,7 +28,6 @@ TOLD = {
 }
 """What networks are told, and the columns of the truth (`_truth`) in it."""
 _FIRST = ABLATIONS.first + 5_000
-_HELD_OUT = 5  # every fifth arm is predicted
 _FIT = StudentConfig(rounds=1, epochs=6, learning_rate=2e-3)
 
 
@@ -52,8 +51,9 @@ def outstanding(policy: str, k: int, arms: int) -> tuple[Advice, Floats]:
     controller.policy = recorder = Recorder(controller.policy)
     run = rollout(controller, arms, seed=_FIRST + k * arms, randomization="train", moves=moves)
     advice, stayed = advise(run, recorder, controller.settings, _FIT.torque_price), run.of_move(moves - 1).finished
-    residuals = torch.from_numpy(np.stack(recorder.residuals)[:, stayed, 0])
-    return advice._replace(labels=advice.labels - residuals), _truth(run, controller.settings.hold)[:, stayed]
+    hold = controller.settings.hold
+    now = torch.from_numpy(recorder.held(int(np.argmax(stayed)), hold)[1][:, stayed].astype(np.float32))
+    return advice._replace(labels=advice.labels - now), _truth(run, hold)[:, stayed]
 
 
 def _truth(run: Recording, hold: int) -> Floats:
@@ -65,7 +65,7 @@ def _truth(run: Recording, hold: int) -> Floats:
 
 def share_predicted(advice: Advice) -> float:
     """Share of the advice on every fifth arm that a network predicts which is fitted to that on all others."""
-    held_out = torch.arange(advice.labels.shape[1]) % _HELD_OUT == 0
+    held_out = torch.arange(advice.labels.shape[1]) % 5 == 0
     student = Student(_FIT, advice.inputs.shape[2])
     student.advice = [Advice(*(part[:, ~held_out] for part in advice))]
     student.fit()
