@@ -185,9 +185,9 @@ def _step(work: Floats, count: int, model: Model, driven: Driven) -> None:
         arrives = waits & (until < dt)
         lag = Lag(target, torque - target, time, rate)
         margin, side = margin_of(x, angles, step, torques, lag, direction, dt, plant, drive, model)
-        unsure = (not stays) & arrives & asked
-        leaves = (not stays) & (not arrives) & asked & leaves_mode(margin, lag_left(lag, torques))
-        keeps, slid = leaves | unsure, direction != 0.0
+        unsure, slid = (not stays) & arrives & asked, direction != 0.0
+        leaves = (not stays) & (not arrives) & asked & leaves_mode(margin, lag_left(lag, torques), slid)
+        keeps = leaves | unsure
         last = (steps == 1.0) & asked
         rest = until - dt if (not last) & (until - dt > _INSTANT) else 0.0
         left = since - (dt - until if dt > until else 0.0)

@@ -221,17 +221,23 @@ def either_margin(first: bool, m: Margin, n: Margin) -> Margin:
 
 
 @inlined
-def leaves_mode(m: Margin, decayed: float) -> bool:
+def leaves_mode(m: Margin, decayed: float, slides: bool) -> bool:
     """Tell whether the margin may fall below zero within the step: at its end, or before, by its tangents.
 
-    `decayed` is the exponential at the end.
+    A motor at rest leaves where the margin is `NEGLIGIBLE` below zero. It may begin a step with none at all, where it
+    has just stopped, and in a very short step the rounding of what it gains would break it away, again and again.
+
+    Args:
+        m: Margin.
+        decayed: Its exponential at the end.
+        slides: Whether the motor does.
     """
     at_start, slope = m.c0 + m.amplitude, m.c1 - m.exponent * m.amplitude
     at_end = m.c0 + m.c1 + m.c2 + m.c3 + m.amplitude * decayed
     last_slope = m.c1 + 2 * m.c2 + 3 * m.c3 - m.exponent * m.amplitude * decayed
     low, other = at_start + slope, at_end - last_slope
     dips = (slope < 0.0) & (last_slope > 0.0) & ((low if low > other else other) < -NEGLIGIBLE)
-    return (at_end < 0.0) | dips
+    return (at_end < (0.0 if slides else -NEGLIGIBLE)) | dips
 
 
 @inlined

@@ -83,3 +83,16 @@ def test_energy_never_grows_without_torque(p: ArmParams, push: float, torsion: f
         load = most if abs(z) >= SLIPS else spring * z
         energies.append(EventLocatedArm(clean, x[0, :4], model).energy + load * load / (2 * spring))
     assert np.diff(energies).max() < 1e-8
+
+
+def test_a_motor_that_has_just_stopped_does_not_break_away_again_and_again():
+    """Within a piece of a nanosecond, until a command arrives: such a motor would not come to the sample's end."""
+    ends = []
+    for latency in (0.0, 1.5e-9):
+        arm = replace(GIVES, presliding_deflection=0.0078, friction_variation=0.06, command_latency=latency)
+        random, arms = np.random.default_rng(0), ArmSimulation(arm, len(torques := np.full(4000, 0.03)))
+        states = arms.at_rest(random.uniform(-60, 60, 4000))
+        states[:, 1:4] += random.uniform(0, [1e-9, 1e-4, 2e-3], (4000, 3))
+        states[:, 4:-1], states[:, -1] = random.uniform(0, 0.033, (4000, 1)), SLIPS
+        ends.append(arms.advance(states, torques)[:, 1])
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-4)
