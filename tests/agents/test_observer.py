@@ -174,12 +174,3 @@ class TestRun:
         for name, value in (("learning_rate", 0.0), ("epochs", 0), ("batch_size", 0), ("seed", -1)):
             config = self.config(tmp_path, **{name: value})
             refused(ValueError, ("--" + name.replace("_", "-"),), partial(running.run, config))
-
-    @pytest.mark.slow
-    def test_processes_and_blocks_change_nothing(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.setattr(running, "_BLOCK", 6)
-        configs = [self.config(tmp_path / str(jobs), episodes=9, jobs=jobs) for jobs in (1, 2)]
-        for config in configs:
-            running.run(config)
-        ours, theirs = (load_observer(config.file)[0].state_dict() for config in configs)
-        assert all(torch.equal(ours[name], theirs[name]) for name in ours)

@@ -33,7 +33,6 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]
 
 
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
-    """With options of its script that are allowed."""
     for variant in VARIANTS:
         script, *options = Run(variant, 0, 8_000_000, tmp_path).words
         config = parse(ALGORITHMS[Path(script).stem], arguments=options)
@@ -42,7 +41,6 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
 
 
 def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
     run, result = done
     assert result["curve"][-1][0] == 2 * 4 * EPISODE_STEPS and result["digest"] == training_digest()
     shutil.copytree(run.runs, tmp_path / "runs")
