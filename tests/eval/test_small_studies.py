@@ -69,10 +69,10 @@ def test_scores_of_errors_that_are_known():
 
 
 def test_observers_correct_the_filter_and_know_how_well():
-    """32 arms are too few for their constants to tell much more."""
-    scores = scores_of("adaptive", watchers(), development_set().splits["randomized"], 32)
+    """On working shifts, which they are fitted to: of all that is estimated they tell more."""
+    scores = scores_of("adaptive", watchers(), development_set().splits["shift"], 8)
     corrected, alone, known = (scores[name] for name in ("learned on the filter", "learned alone", "filter"))
-    assert (corrected.rms / known.rms).max() < 1.03 and 0.62 < corrected.within_one.mean() < 0.76
+    assert (corrected.rms / known.rms).max() < 1.0 and 0.62 < corrected.within_one.mean() < 0.76
     torsion = NAMES.index("torsion")
     assert alone.rms[torsion] > known.rms[torsion], "the encoder alone shows less"
 

@@ -56,7 +56,7 @@ FACTORS = {
     "learner": Factor("Which way of learning?", "student, on adaptive"),
     "arms": Factor("Which arms should it be trained on?", "shifts"),
     "told": Factor("What must it be told of the arm?", "belief of the filter"),
-    "memory": Factor("What is its memory worth?", "GRU of 96, which also learns to see torsion"),
+    "memory": Factor("What is its memory worth?", "GRU of 96"),
     "base": Factor("Which controller should it correct?", "adaptive"),
 }
 """Everything that is varied, by name."""
