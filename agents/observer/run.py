@@ -218,12 +218,18 @@ def simulate(
 
 
 def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
-    """Simulate all episodes, but for those that an interrupted run left."""
+    """Simulate all episodes, but for those that an interrupted run left.
+
+    In every other block parts are as light as those of a single move, and motors do not give, as for a student.
+    """
     stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
     blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
     files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.safetensors" for block in blocks}
     missing = {block: file for block, file in files.items() if not file.exists()}
-    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in missing.items()}
+    tasks = {
+        file.name: partial(_simulate, observer, *block, RANGES["train"] if block[0] // _BLOCK % 2 else "train", file)
+        for block, file in missing.items()
+    }
     with (
         closing(run_side_by_side(tasks, SideBySide(jobs=config.jobs))) as outcomes,
         progress_rows(["episodes"], len(blocks), Console(stderr=True)) as show,
@@ -243,15 +249,13 @@ def _depends_on() -> str:
     return hashlib.sha256(GAINS.read_bytes() + f"{code} {student}".encode()).hexdigest()[:12]
 
 
-def _simulate(observer: Observer, offset: int, count: int, file: Path, _: Channel) -> None:
-    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on.
-
-    In every other block parts are as light as those of a single move, and motors do not give, as for a student.
-    """
-    ranges = RANGES["train"] if offset // _BLOCK % 2 else "train"
+def _simulate(
+    observer: Observer, offset: int, count: int, randomization: Randomization, file: Path, _: Channel
+) -> None:
+    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on."""
     ends = np.linspace(0, count, len(SOURCES) + 1).round().astype(int)
     spans = zip(SOURCES, OBSERVER.first + offset + ends[:-1], np.diff(ends), strict=True)
-    parts = [simulate(source, observer, int(first), int(size), ranges) for source, first, size in spans if size]
+    parts = [simulate(source, observer, int(first), int(size), randomization) for source, first, size in spans if size]
     write_atomically(file, lambda path: path.write_bytes(save(Episodes.joined(parts)._asdict())))
 
 

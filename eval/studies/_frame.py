@@ -40,7 +40,7 @@ RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 DATA, TEMPLATE, PAGE = "data.json", "page.md.j2", "page.md"
 Pictures = Mapping[str, Callable[[], Figure]]
 _DIGITS = 7  # significant ones, of what is written
-_PLACES = ("out", "jobs", "runs", "engine", "address", "storage")  # options that change no number
+_PLACES = ("out", "jobs", "runs")  # options that change no number
 
 
 Bounds = dict[str, tuple[int, int | None]]

@@ -200,9 +200,8 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[Path, list[int]],
     """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
     folder, _ = whole
     config = tiny("student", tmp_path)
-    first_round = (
-        (holds := EPISODE_STEPS // config.hold) + config.arms + config.epochs * config.arms // config.batch_size
-    )
+    holds = EPISODE_STEPS // config.hold
+    first_round = holds + config.arms + config.epochs * config.arms // config.batch_size
     for number, looks in enumerate((17, holds + 2, first_round - 1, first_round + 10)):
         refused(Interrupted, ("steps",), partial(run, replace(config, resume=number > 0), StopAfter(looks)))
         torch.manual_seed(9)
@@ -225,6 +224,7 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
     reports, config = list[News](), tiny("student", tmp_path, rounds=1)
     run(config, report=reports.append)
     assert (steps := [news.steps for news in reports]) == sorted(steps) and (steps[0], steps[-1]) == (0, config.length)
+    assert len([news for news in reports if news.cost is not None]) == 2
     monitor = run(replace(config, rounds=2, resume=True))
     assert [point[0] for point in monitor.curve] == [0, config.length, 2 * config.length]
     refused(ValueError, ("--remembered 2, not 3",), lambda: run(replace(config, resume=True, remembered=3)))

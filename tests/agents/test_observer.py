@@ -174,3 +174,12 @@ class TestRun:
         for name, value in (("learning_rate", 0.0), ("epochs", 0), ("batch_size", 0), ("seed", -1)):
             config = self.config(tmp_path, **{name: value})
             refused(ValueError, ("--" + name.replace("_", "-"),), partial(running.run, config))
+
+    @pytest.mark.slow
+    def test_processes_and_blocks_change_nothing(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr(running, "_BLOCK", 6)
+        for jobs in (1, 2):
+            running.run(self.config(tmp_path / str(jobs), episodes=9, jobs=jobs))
+        (ours, content), (theirs, _) = (load_observer(tmp_path / str(jobs) / "o") for jobs in (1, 2))
+        assert content["provenance"]["run"]["episodes"] == 9
+        assert all(torch.equal(value, theirs.state_dict()[name]) for name, value in ours.state_dict().items())

@@ -14,7 +14,6 @@ from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import _frame, learning
-from eval.studies.learning import runs
 from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant, training_digest
 
 
@@ -38,16 +37,20 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
         config = parse(ALGORITHMS[Path(script).stem], arguments=options)
         config.check()
         assert config.length * config.hold == pytest.approx(8_000_000, rel=0.01), variant.name
+    (memoryless,) = [variant for variant in VARIANTS if variant.name == "gru-0"]
+    command = Run(memoryless, 1, 96_000, tmp_path).command
+    assert command == "python train/student.py --arms 2 --rounds 8 --gru-width 0 --validation-arms 32 --seed 1"
 
 
-def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path):
     run, result = done
     assert result["curve"][-1][0] == 2 * 4 * EPISODE_STEPS and result["digest"] == training_digest()
     shutil.copytree(run.runs, tmp_path / "runs")
     copied = Run(DEFAULT, 0, 5_000, tmp_path / "runs", quick=True)
     (copied.folder / "ablation.json").unlink()
-    assert copied.finish(4)["scores"] == result["scores"] and result["scores"]["left_percent"] == 0
-    monkeypatch.setattr(runs, "train", None)
+    again = copied.finish(4)
+    assert again["scores"] == result["scores"] and result["scores"]["left_percent"] == 0
+    assert [point[0] for point in again["curve"]] == [point[0] for point in result["curve"]]
     assert run.finished(4) == result
 
 

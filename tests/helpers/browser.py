@@ -31,10 +31,7 @@ _FRAME = """<iframe src="asked.html" style="width: %dpx; height: 900px; border: 
 
 
 def asked(page: Path, script: str, folder: Path, width: int = 1400) -> Any:
-    """What a script returns on a page of some width, which must neither complain nor load anything.
-
-    The test is skipped where there is no browser.
-    """
+    """What a script returns on a page of some width, which must not complain or load; else skipped."""
     program = next(filter(None, map(shutil.which, _NAMES)), None)
     if program is None:
         pytest.skip(f"needs a browser: none of {', '.join(_NAMES)} is installed")

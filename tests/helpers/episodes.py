@@ -38,10 +38,7 @@ def assert_as_alone(
     seed: int,
     arms: Sequence[int] | None = None,
 ) -> int:
-    """Assert that arms of a batch in the mode SameStep are environments alone, bit for bit and across resets.
-
-    Compared are all arms, or some that are given; the seed is the first arm's. Return how many episodes ended.
-    """
+    """Assert that arms of a batch in the mode SameStep are as alone, bit for bit, across resets; return the ends."""
     pairs, ends = list(zip(arms or range(batch.num_envs), alone, strict=True)), 0
     first, _ = batch.reset(seed=seed)
     for arm, env in pairs:

@@ -1,7 +1,4 @@
-"""The documentation site, without the runs of tutorials and pictures.
-
-No warning: each page is in a table of contents, and each link leads somewhere. And no other host.
-"""
+"""The documentation site, without tutorials' runs: pages are in a table of contents, links lead somewhere, no host."""
 
 import re
 import shutil

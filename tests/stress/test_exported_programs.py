@@ -1,7 +1,4 @@
-"""Controllers in C, compiled with sanitizers, beside Python's: bit for bit, also when encoders are faulty.
-
-The arms move as Python's controllers command. A fault changes the encoder counts that both are given.
-"""
+"""Controllers in C, compiled with sanitizers, beside Python's: bit for bit, also on faulty encoder counts."""
 
 from pathlib import Path
 from typing import Any
