@@ -77,7 +77,7 @@ class StudentConfig(RunConfig):
     move, and motors do not give: a student has to be good at both."""
     arms: int = 192
     """Arms of a round. Each makes one episode."""
-    rounds: int = 18
+    rounds: int = 12
     """Rounds of acting, asking the teacher and fitting. A run that is resumed may have more."""
     remembered: int = 12
     """Number of the last rounds whose advice is fitted."""
