@@ -7,6 +7,8 @@ torque. A step within which the mode ends is not taken; the next pass takes it a
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ from beltarm_env.timing import CONTROL_PERIOD
 Floats = NDArray[np.float64]
 
 MOST_STEPS = 20_000
-"""Of a sample; an arm that takes more is left where it is."""
+"""Of a sample; an arm that takes more has no state from then on: it is NaN, and whoever steps it can see that."""
 _INSTANT = ROUNDING * CONTROL_PERIOD  # a command that is so near has arrived [s]
 
 # Rows of the working block: as in `layout` up to MOVE, then
@@ -98,6 +100,9 @@ def _finish(block: Floats, work: Floats, pending: int, model: Model, driven: Dri
         _step(work, _pad(work, pending, driven), model, driven)
         _cut_at_exits(work, pending)
         pending = _put_back_finished(block, work, pending, driven)
+    for i in range(pending):
+        lost = ArmState(math.nan, math.nan, math.nan, math.nan)
+        store_state(block, at.STATE, int(work[_LANE * LANES + i]), lost)
 
 
 @compiled
