@@ -38,7 +38,7 @@ from beltarm_env.timing import CONTROL_PERIOD
 Floats = NDArray[np.float64]
 
 MOST_STEPS = 20_000
-"""Of a sample; an arm that takes more has no state from then on: it is NaN, and whoever steps it can see that."""
+"""Of a sample; an arm that takes more has no state (NaN) from then on, so that it has left its workspace."""
 _INSTANT = ROUNDING * CONTROL_PERIOD  # a command that is so near has arrived [s]
 
 # Rows of the working block: as in `layout` up to MOVE, then

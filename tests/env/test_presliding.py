@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import python
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -83,6 +85,16 @@ def test_energy_never_grows_without_torque(p: ArmParams, push: float, torsion: f
         load = most if abs(z) >= SLIPS else spring * z
         energies.append(EventLocatedArm(clean, x[0, :4], model).energy + load * load / (2 * spring))
     assert np.diff(energies).max() < 1e-8
+
+
+def test_an_arm_that_takes_too_many_steps_has_left_its_workspace():
+    """It is not left where it was, as if the sample were over."""
+    code = "from beltarm_env.kernels import pieces; import gymnasium, sys; pieces.MOST_STEPS = int(sys.argv[1])\n"
+    code += "env = gymnasium.make('beltarm_env:BeltArm-v0', randomization='train')\n"
+    code += "env.reset(seed=0); print(env.step([1.0])[2])"
+    for steps, ended in ((1, "True"), (20_000, "False")):
+        output = python("-c", code, steps, path=(Path(__file__).parents[2],), BELTARM_ENGINE="plain")
+        assert output.strip() == ended
 
 
 def test_a_motor_that_has_just_stopped_does_not_break_away_again_and_again():

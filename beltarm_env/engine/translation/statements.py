@@ -65,7 +65,7 @@ class Statements(Assignments):
             case ast.Call(ast.Name("ValueError"), [ast.Constant(str(text))]) if self.program.runs_here:
                 self.write(f"fail({json.dumps(text)});")
                 return True
-        raise TranslationError(f"{construct(statement)} is not translated, only that of ValueError('text'), and for Python")
+        raise TranslationError(f"{construct(statement)} is not translated, only ValueError('text'), for Python")
 
     def _do_return(self, statement: ast.Return) -> bool:
         self.give(Const(None) if statement.value is None else self.value(statement.value))
