@@ -3,7 +3,7 @@ PPO of Stable-Baselines3, from scratch
 ======================================
 
 Train an agent without any base controller, find out why the obvious way fails, and what makes it
-work in half a minute.
+work in a minute.
 """
 
 # %%
@@ -25,7 +25,7 @@ model.learn(10_000)
 
 # %%
 # A model has ``predict``, so it is a controller, and ``rollout`` runs it on many arms. These are
-# the fifty first arms that validation draws from; training never sees them.
+# the first fifty arms that validation draws from; training never sees them.
 
 ARMS = {"seed": VALIDATION.first, "randomization": "train"}
 print(rollout(model, 50, **ARMS))

@@ -97,7 +97,7 @@ for p, corrected in zip(p_values, holm(p_values), strict=True):
 # Not only the cost
 # -----------------
 # A method may be cheap and hammer the motor, or be precise and ring on. Read the cost beside the
-# vibration that is left after the move, and the torques. They say something of arms that arrive alone:
+# vibration that is left after the move, and the torques. They say something only of arms that arrive:
 # one that never moves does not vibrate.
 
 first, second = adaptive.metrics(), student.metrics()
