@@ -167,16 +167,16 @@ def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
     yield from others
 
 
-def write_fmu(path: Path, params: ArmParams) -> list[str]:
+def write_fmu(path: Path, params: ArmParams, native: bool = False) -> list[str]:
     """Write an arm as an FMU, whose parameters start with the arm's constants.
 
-    Binaries are for this kind of machine, and for others where the package `ziglang` is installed. The FMU holds the
-    sources too. Returns the platforms of the binaries as FMI 2.0 names them: "linux64", "win64", ...
+    Binaries are for this kind of machine, and unless `native` for others where the package `ziglang` is installed. The
+    FMU holds the sources too. Returns the platforms of the binaries as FMI 2.0 names them: "linux64", "win64", ...
 
     Raises:
         ValueError: If there is no compiler, or it fails.
     """
-    content, platforms, _ = packed(params)
+    content, platforms, _ = packed(params, native)
     write_bytes(path, content)
     return platforms
 
