@@ -118,6 +118,10 @@ class Recording:
         of_arms = np.ascontiguousarray(values.reshape(self.num_moves, -1).T)  # so that no sum depends on other arms
         return of_arms.mean(axis=1, dtype=np.float64)
 
+    def in_turn(self, values: Floats) -> Floats:
+        """Join the moves of each arm along time: values per sample, (T, n, ...), to (moves T, num_arms, ...)."""
+        return np.concatenate(np.split(values, self.num_moves, axis=1))
+
     def to_pandas(self) -> pd.DataFrame:
         """Table of all samples: a row per arm, move and time; states, commanded torque, tip errors, in SI units.
 

@@ -23,7 +23,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.learners.student import Student, StudentConfig
-from agents.policy.actor import MODULES, Actor, Standardised, pairs_of
+from agents.policy.actor import Actor, Standardised, pairs_of
 from agents.residual.env import ResidualVecEnv
 from agents.residual.knowledge import Knowledge
 from agents.runs.settings import RunConfig
@@ -63,22 +63,14 @@ class OnPolicyConfig(ReinforcementConfig):
     def arguments(self, **policy: Any) -> dict[str, Any]:
         """Arguments of the Stable-Baselines3 model, with further ones of its policy."""
         return {
+            **super().arguments(log_std_init=self.initial_log_std, **policy),
             "learning_rate": self.learning_rate_left,
             "n_steps": self.rollout_steps,
             "batch_size": self.batch_size,
             "n_epochs": self.epochs,
-            "gamma": self.gamma,
             "gae_lambda": self.gae_lambda,
             "clip_range": self.clip_range,
             "ent_coef": self.entropy,
-            "policy_kwargs": {
-                "net_arch": list(self.hidden),
-                "activation_fn": MODULES[self.activation],
-                "log_std_init": self.initial_log_std,
-                **policy,
-            },
-            "seed": self.seed,
-            "device": self.device,
         }
 
 

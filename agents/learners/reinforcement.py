@@ -14,7 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 
-from agents.policy.actor import Actor, actor_of
+from agents.policy.actor import MODULES, Actor, actor_of
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualVecEnv
 from agents.runs.settings import RunConfig
@@ -69,6 +69,11 @@ class ReinforcementConfig(RunConfig):
             torque_price=self.torque_price,
             worst_reward=self.worst_reward,
         )
+
+    def arguments(self, **policy: Any) -> dict[str, Any]:
+        """Arguments of the Stable-Baselines3 model, with further ones of its policy."""
+        layers = {"net_arch": list(self.hidden), "activation_fn": MODULES[self.activation]}
+        return {"gamma": self.gamma, "policy_kwargs": {**layers, **policy}, "seed": self.seed, "device": self.device}
 
     def make_model(self, env: ResidualVecEnv) -> BaseAlgorithm:
         """Make an untrained model of Stable-Baselines3."""

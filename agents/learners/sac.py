@@ -18,7 +18,6 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.type_aliases import RolloutReturn
 
 from agents.learners.reinforcement import ReinforcementConfig
-from agents.policy.actor import MODULES
 from agents.residual.env import ResidualVecEnv
 from baselines.tools.command import require_bounds
 from beltarm_env.task.cost import MAX_COST
@@ -79,24 +78,17 @@ class SacConfig(ReinforcementConfig):
         model = ResidualSAC(
             "MlpPolicy",
             env,
+            **self.arguments(optimizer_class=ClippedAdam),
             learning_rate=self.learning_rate,
             buffer_size=self.buffer_size,
             learning_starts=self.learning_starts,
             batch_size=self.batch_size,
             tau=self.tau,
-            gamma=self.gamma,
             train_freq=(1, "step"),
             gradient_steps=self.gradient_steps,
             action_noise=NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
-            policy_kwargs={
-                "net_arch": list(self.hidden),
-                "activation_fn": MODULES[self.activation],
-                "optimizer_class": ClippedAdam,
-            },
             ent_coef=f"auto_{self.initial_entropy_weight}",
             target_entropy=self.target_entropy,
-            seed=self.seed,
-            device=self.device,
         )
         actor: Any = model.actor
         with torch.no_grad():

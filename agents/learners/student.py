@@ -225,23 +225,23 @@ class Student:
             ValueError: If it is not finite.
         """
         config, network = self.config, self._regression.network
-        inputs, labels, weights, unseen = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
-        if not labels.numel():
+        advice = Advice(*(torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True)))
+        episodes, errors = advice.labels.shape[1], list[float]()
+        if not episodes:
             return 0.0
         if self.rounds == 0:  # the average takes over what is no weight with its next step
-            network.set_scales(inputs.float())
+            network.set_scales(advice.inputs.float())
 
-        errors, episodes = list[float](), labels.shape[1]
         network.to(config.device)
-        batches, segments = -(-episodes // config.batch_size), -(-len(labels) // config.segment)
+        batches = -(-episodes // config.batch_size)
         for epoch in range(config.epochs):
+            errors.clear()
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
                 self.pause(0)
                 share_done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
                 rate = config.learning_rate_left(1 - share_done)
-                parts = (part[:, chosen].split(config.segment) for part in (inputs, labels, weights, unseen))
                 memory = None
-                for segment in zip(*parts, strict=True):
+                for segment in zip(*(part[:, chosen].split(config.segment) for part in advice), strict=True):
                     seen, best, weight, hidden = (part.to(config.device) for part in segment)
                     features, memory = network.features(seen.float(), memory)
                     memory = None if memory is None else memory.detach()
@@ -251,7 +251,7 @@ class Student:
                     self._regression.step(_SCALE * (weight * losses).mean() + config.observing * observed, rate)
                     errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
-        mean = float(np.mean(errors[-batches * segments :]))
+        mean = float(np.mean(errors))
         if not np.isfinite(mean):
             raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return mean

@@ -109,7 +109,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     def sums(samples: Floats) -> Floats:
         """Sums over holds, the last of a move may be shorter, of arms that stayed: shape (holds of all moves, arms)."""
         of_holds = np.add.reduceat(samples, np.arange(0, EPISODE_STEPS, hold), axis=0)
-        return np.concatenate(np.split(of_holds, moves, axis=1))[:, stayed]
+        return recording.in_turn(of_holds)[:, stayed]
 
     seen, residuals = recorder.held(stayed[0], hold)
     by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
@@ -125,8 +125,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
 
 def states_before(recording: Recording, hold: int) -> Floats:
     """States as each hold begins, shape (holds of all moves, arms, 4); zero at the very beginning."""
-    moves = map(recording.of_move, range(recording.num_moves))
-    states = np.concatenate([np.zeros((1, recording.num_arms, 4)), *(move.state for move in moves)])
+    states = np.concatenate([np.zeros((1, recording.num_arms, 4)), recording.in_turn(recording.state)])
     return states[np.arange(len(states) - 1).reshape(recording.num_moves, -1)[:, ::hold].ravel()]
 
 

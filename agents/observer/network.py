@@ -112,7 +112,8 @@ class Observer(Standardised):
         """
         features = self.standardised(inputs)
         remembered, following = self.gru(features, memory)
-        return *self._answer(features, remembered), following
+        g, s = self.heads(torch.cat([features, remembered], dim=-1)).chunk(2, dim=-1)
+        return g, s.clamp(_SMALLEST, _LARGEST), following
 
     def observe(
         self, seen: Singles, memory: Singles | None = None, episode_start: Flags | None = None
@@ -131,15 +132,10 @@ class Observer(Standardised):
             raise ValueError(f"the observer chooses from {self._offered} entries, got shape {seen.shape}")
         with torch.no_grad():
             inputs = torch.as_tensor(np.ascontiguousarray(seen[:, self.columns]))
-            features = self.standardised(inputs)
             before = torch.as_tensor(begun(memory, episode_start, (len(seen), self.width)))
-            sequence, following = self.gru(features[None], before[None])
-            mean, deviation = self.estimated(inputs, *self._answer(features, sequence[0]))
+            g, s, following = self(inputs[None], before[None])
+            mean, deviation = self.estimated(inputs, g[0], s[0])
         return Estimate(mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)), following[0].numpy()
-
-    def _answer(self, features: torch.Tensor, remembered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        g, s = self.heads(torch.cat([features, remembered], dim=-1)).chunk(2, dim=-1)
-        return g, s.clamp(_SMALLEST, _LARGEST)
 
 
 def _belongs_to(observer: Observer) -> dict[str, Any]:

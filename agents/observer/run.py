@@ -210,9 +210,8 @@ def simulate(
     """Run a source on shifts of arms seeded from `first` on, and leave out those that leave their workspace."""
     disturbed = Disturbed(source, observer, first, count)
     recording = rollout(disturbed, count, seed=first, randomization=randomization, moves=_MOVES)
-    moves = [recording.of_move(move) for move in range(_MOVES)]
-    stayed = np.flatnonzero(moves[-1].finished)
-    true = np.concatenate([truth(move, observer.hold) for move in moves])[:, stayed]
+    stayed = np.flatnonzero(recording.finished[-count:])
+    true = recording.in_turn(truth(recording, observer.hold))[:, stayed]
     inputs = np.stack(disturbed.inputs)[:, stayed]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
 

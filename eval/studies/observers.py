@@ -164,11 +164,10 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
     """
     watched = _Watched(Source(acting).controller(), known)
     run = rollout(watched, episodes, **split.arguments(slice(episodes)))
-    moves = [run.of_move(move) for move in range(run.num_moves)]
-    finished = moves[-1].finished
+    finished = run.finished[-run.num_arms :]
     if not finished.any():
         raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
-    true = np.concatenate([truth(move, HOLD) for move in moves])[:, finished]
+    true = run.in_turn(truth(run, HOLD))[:, finished]
     return {
         name: score([Estimate(*(part[finished] for part in estimate)) for estimate in estimates], true)
         for name, estimates in watched.estimates.items()

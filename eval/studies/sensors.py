@@ -102,11 +102,9 @@ def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
     recorder = Recorder(controller(name, tier), _torsion)
     run = rollout(recorder, episodes, sensors=tier, **split.arguments(slice(episodes)))
     metrics = run.metrics()
-    moves = [run.of_move(move) for move in range(run.num_moves)]
-    torsion = np.concatenate([move.state[:, :, 2] for move in moves])
-    errors = np.array(recorder.notes[1:]) - torsion[:-1]
+    errors = np.array(recorder.notes[1:]) - run.in_turn(run.state[:, :, 2])[:-1]
     averages = {metric: run.over_moves(metrics[metric]) for metric in (*COMPARED, *TORQUE_QUALITY)}
-    return Outcome(averages, int((~moves[-1].finished).sum()), float(np.sqrt(np.mean(errors**2))))
+    return Outcome(averages, int((~run.finished[-run.num_arms :]).sum()), float(np.sqrt(np.mean(errors**2))))
 
 
 def _torsion(memory: Any) -> Floats:

@@ -215,6 +215,7 @@ class TestRecordings:
         for name, values in metrics.items():
             assert np.array_equal(third.metrics()[name], values[1::2])
             assert np.array_equal(second.metrics()[name], values[4:])
+        assert np.array_equal(run.in_turn(run.state), np.concatenate([run.of_move(k).state for k in range(moves)]))
         assert (third.num_arms, third.num_moves, second.num_arms, second.num_moves) == (1, moves, 2, 1)
         with pytest.raises(IndexError, match="there are"):
             run.of_move(3)
