@@ -213,10 +213,8 @@ def _write_noise(design: Design, surprise: float, predicted: Floats, sticks: boo
 def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
     """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad], but for `holds`."""
     z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
-    for i in range(size):
-        z[i] = design.mean[i]
-        for j in range(size):
-            covariance[i, j] = design.covariance[i, j]
+    z[:size] = design.mean
+    covariance[:size, :size] = design.covariance
     z[0] = angle
     deviation = resolution / _ROUNDING
     covariance[0, 0] = deviation * deviation
@@ -301,8 +299,7 @@ def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, sticks: bool
     _write_jacobian(predicted, room.simulation.shapes, arm, room.jacobian)
     _write_noise(design, tracks.surprise[arm], predicted, sticks, room.noise)
     _propagate(covariance, design.decay, room)
-    for i in range(4):
-        z[i] = predicted[i, 0]
+    z[:4] = predicted[:4, 0]
     for axis in range(axes):
         z[size + axis] = predicted[4 + axis, 0] + z[z_at.BIAS + axis]
     z[z_at.DISTURBANCE] *= design.decay

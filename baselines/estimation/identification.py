@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -292,8 +293,7 @@ class ArmIdentifier:
         """Reset the belief about arms that begin an episode at a reading, shape (n,)."""
         if not begins.any():
             return belief
-        tracks = Tracks._make(part.copy() for part in belief.tracks)
-        result = Belief(tracks, *(part.copy() for part in belief[1:]))
+        result = deepcopy(belief)
         begin(self.design, inputs_of(reading, begins), result)
         return result
 

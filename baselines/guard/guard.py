@@ -55,7 +55,7 @@ class GuardInputs(NamedTuple):
 
 
 @inlined
-def _begin(design: GuardDesign, now: GuardInputs, memory: Floats) -> None:
+def _begin(now: GuardInputs, memory: Floats) -> None:
     memory[:] = 0.0
     begin_encoder(now.motor_angle, memory)
     memory[LEARNED] = 1.0
@@ -137,7 +137,7 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
     """
     last = now.last_command if finite(now.last_command) else 0.0
     if begins:
-        _begin(design, now, memory)
+        _begin(now, memory)
         last = 0.0
         seen = Seen(True, True, True)
     else:

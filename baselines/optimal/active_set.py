@@ -120,16 +120,14 @@ def _forward(p: Problem, first: Floats, u: Floats) -> int:
             after[i] = p.offset[k, i] + p.transition[k, i, SIZE - 1] * v
             for j in range(SIZE):
                 after[i] += p.transition[k, i, j] * z[j]
-        for i in range(SIZE):
-            z[i] = after[i]
+        z[:] = after
     return changed
 
 
 @compiled
 def minimise(p: Problem, change_weight: float, first: Floats, u: Floats) -> int:
     """Write the inputs u that minimise the cost from z = `first`, and return the number of rounds."""
-    for k in range(len(u)):
-        p.fixed[k] = 0
+    p.fixed[:] = 0
     for rounds in range(1, MOST_ROUNDS + 1):
         _backward(p, change_weight)
         if _forward(p, first, u) == 0:

@@ -147,8 +147,7 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
         start = Start(0, now.step + found.delay[0], found.states[0], design.improvements)
         plan_task(move_of(now), found.table[0], design.weights, start, memory.planning, memory.plan)
         memory.left[0] = 0
-        for k in range(len(memory.logs)):
-            memory.logs[k] = found.logs[0, k]
+        memory.logs[:] = found.logs[0]
 
 
 @compiled
@@ -175,8 +174,7 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
         to_go.matrix[:] = 0.0
         to_go.vector[:] = 0.0
         memory.left[0] = len(memory.plan)
-        for k in range(len(memory.logs)):
-            memory.logs[k] = found.logs[0, k]
+        memory.logs[:] = found.logs[0]
     if memory.left[0] > now.step:
         first, problem = (
             max(memory.left[0] - design.rows, now.step),

@@ -68,14 +68,14 @@ class Horizon(NamedTuple):
     change_weight: float  # R    [1/(N m)^2]
 
 
-def horizon(params: ArmParams, weights: Weights, lengths: NDArray[np.int64] = STEPS) -> Horizon:
+def horizon(params: ArmParams, weights: Weights) -> Horizon:
     """Tabulate the problem for an arm."""
     plant, of_errors = params.plant(), error_weights(weights.velocity)
     arm = linear_arm(params)
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
     single[:, :4, :4], single[:, :4, 4], single[:, :4, 5] = arm.transition, arm.by_torque, arm.by_acceleration
     single[:, 4, 4] = single[:, 5, 5] = 1.0
-    different, which = np.unique(lengths, return_inverse=True)
+    different, which = np.unique(STEPS, return_inverse=True)
     powers = np.stack([np.linalg.matrix_power(single, int(length)) for length in different])
     final = np.empty((len(ANGLES), SIZE, SIZE))
     for k, angle in enumerate(ANGLES):
@@ -87,7 +87,7 @@ def horizon(params: ArmParams, weights: Weights, lengths: NDArray[np.int64] = ST
         final[k] = solve_discrete_are(step, step[:, 4:], weight, [[weights.change]]) - weight
     return Horizon(
         plant,
-        lengths.astype(np.int64),
+        STEPS.astype(np.int64),
         which.astype(np.int64),
         np.ascontiguousarray(powers[..., :SIZE, :SIZE]),
         np.ascontiguousarray(powers[..., :4, SIZE]),

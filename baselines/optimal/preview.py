@@ -37,6 +37,7 @@ from baselines.planning.plan import (
     Plans,
     Weights,
     plan_move,
+    planned,
     replaced,
     rows_at,
     step_of_plan,
@@ -47,7 +48,6 @@ from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.engine import compiled
 from beltarm_env.kernels.simulate import Room, room_for
-from beltarm_env.task.reference import MoveShape
 
 _END = OWN + 2 * PLAN_COLUMNS
 _LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, _END)  # of the memory: rows of the plan
@@ -114,7 +114,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Planne
     plan, row = memory.plan, memory.rows[0]
     observe_arm(design.observer, now, begins, memory.rows, memory.room)
     if begins:
-        plan_move(move_of(now), design.observer.row, design.model, design.weights, 0, plan)
+        plan_move(move_of(now), design.observer.row, design.model, design.weights, plan)
     step, _ = step_of_plan(now.step + design.observer.delay)
     row[_LOW], row[_HIGH] = plan[step], plan[step + 1]
     return _torque(design, now, begins, row)
@@ -154,9 +154,7 @@ class PreviewController(ObserverController):
         design = self._design
 
         def plan(arm: int) -> Floats:
-            made, move = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*reading.move[arm].tolist())
-            plan_move(move, design.observer.row, design.model, design.weights, 0, made)
-            return made
+            return planned(reading.move[arm], design.observer.row, design.weights, design.model)
 
         rows = self._observed(reading, begins, memory.rows if memory else None)
         plans = replaced(memory.plans if memory else None, begins, plan)

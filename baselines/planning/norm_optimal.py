@@ -185,6 +185,7 @@ def weigh_jump(jump: float, limit: float, soft: float) -> float:
     return 0.5 * TORQUE_RATE_WEIGHT / (max(abs(jump) / limit, soft) * (limit * limit))
 
 
+@compiled
 def optimal_change(
     trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
 ) -> Change:
@@ -199,21 +200,15 @@ def optimal_change(
     """
     steps, states = trial.by_torque.shape
     result = Change(np.empty(steps), np.empty((steps, states + 1)), np.empty(steps))
-    _solve(trial, weights, torque, limit, before, result)
+    if states == 4:
+        _solve(5, trial, weights, torque, limit, before, result)  # a literal: loops are unrolled
+    else:
+        _solve(states + 1, trial, weights, torque, limit, before, result)
     return result
 
 
 @compiled
-def _solve(trial: Trial, weights: Weights, torque: Floats, limit: float, before: float, result: Change) -> None:
-    states = trial.by_torque.shape[1]
-    if states == 4:
-        _solve_sized(5, trial, weights, torque, limit, before, result)  # a literal: loops are unrolled
-    else:
-        _solve_sized(states + 1, trial, weights, torque, limit, before, result)
-
-
-@compiled
-def _solve_sized(
+def _solve(
     size: int, trial: Trial, weights: Weights, torque: Floats, limit: float, before: float, result: Change
 ) -> None:
     """Write the law, backwards; `size` counts the states of the arm and the last change."""
@@ -230,25 +225,21 @@ def _solve_sized(
         result.curvature[k] = sample.slope[size + 1]
 
 
+@compiled
 def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats]:
     """Follow the law v[k] = change[k] - gain[k] z_k on the linear problem, from dx_0 = 0.
 
     Returns:
         v [N m] of shape (T,), and dx after each sample, shape (T, n).
     """
-    changes, away = np.empty(change.shape), np.empty(trial.by_torque.shape)
-    _follow(trial, change, gain, changes, away)
-    return changes, away
-
-
-@compiled
-def _follow(trial: Trial, change: Floats, gain: Floats, changes: Floats, away: Floats) -> None:
-    states = trial.by_torque.shape[1]
+    steps, states = trial.by_torque.shape
+    changes, away = np.empty(steps), np.empty((steps, states))
     now, last = np.zeros(states), 0.0
-    for k in range(len(change)):
+    for k in range(steps):
         v = followed_change(states, change[k], gain[k], now, last)
         deviate(states, trial.transition[k], trial.by_torque[k], now, v, away[k])
         now, last, changes[k] = away[k], v, v
+    return changes, away
 
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
@@ -304,6 +295,7 @@ class Linearisation:
         return Trial(transition, np.ascontiguousarray(slopes[:, size]), errors, of_state)
 
 
+@compiled
 def norm_weights(
     errors: Floats, torque_change: Floats, limit: float, effort: float, soft: tuple[float, float]
 ) -> Weights:
@@ -316,13 +308,8 @@ def norm_weights(
         effort: R [1/(N m)^2].
         soft: Below these the norms over their scale, and the torque's change over its limit, count as these.
     """
-    weights = Weights(np.empty(errors.shape), np.empty(torque_change.shape), effort)
-    _weigh(errors, torque_change, limit, soft, weights)
-    return weights
-
-
-@compiled
-def _weigh(errors: Floats, torque_change: Floats, limit: float, soft: tuple[float, float], weights: Weights) -> None:
-    for k in range(len(torque_change)):
+    weights = Weights(np.empty((len(errors), 4)), np.empty(len(errors)), effort)
+    for k in range(len(errors)):
         weigh_norms(errors[k], soft[0], weights.errors[k])
         weights.smoothness[k] = weigh_jump(torque_change[k], limit, soft[1])
+    return weights

@@ -124,9 +124,9 @@ def plan_backwards(problem: Problem, to_go: CostToGo, first: int, last: int, row
 
 
 @compiled
-def plan_move(move: MoveShape, row: Floats, model: LinearArm, weights: Weights, first: int, rows: Floats) -> None:
-    """Plan a move of an arm at once, from a sample on; arguments as of `problem_of` and `plan_backwards`."""
-    plan_backwards(problem_of(move, row, model, weights), no_cost(5), first, len(rows), rows)
+def plan_move(move: MoveShape, row: Floats, model: LinearArm, weights: Weights, rows: Floats) -> None:
+    """Plan a move of an arm at once; arguments as of `problem_of` and `plan_backwards`."""
+    plan_backwards(problem_of(move, row, model, weights), no_cost(5), 0, len(rows), rows)
 
 
 @inlined
@@ -159,17 +159,17 @@ Plans = list[Floats]
 leaves those of the others where they are; never changed in place, since a memory that was returned stays valid."""
 
 
-def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floats:
-    """Plan of one move from a sample on, shape (1200, 10); earlier rows are zero.
+def planned(move: Floats, row: Floats, weights: Weights, model: LinearArm | None = None) -> Floats:
+    """Plan of one move, shape (1200, 10).
 
     Args:
         move: Start, goal [rad], duration, ramp time [s]; shape (4,).
         row: Constants of the arm, as the fields of `ArmParams`.
         weights: Of the errors and of the torque.
-        first: Sample.
+        model: Linear models of the arm, if they are known already.
     """
-    rows = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-    plan_move(MoveShape(*map(float, move)), row, linear_arm_of(row), weights, first, rows)
+    rows = np.empty((EPISODE_STEPS, PLAN_COLUMNS))
+    plan_move(MoveShape(*map(float, move)), row, model or linear_arm_of(row), weights, rows)
     return rows
 
 
