@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import agents
 import baselines
@@ -28,7 +27,7 @@ from baselines.engines import parallel
 from baselines.optimal import robust
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
 from beltarm_env.sources import sources_digest
@@ -37,7 +36,7 @@ from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.rollouts import Failure, attempt, explained, run_controller
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
 
-Metrics = dict[str, NDArray[np.float64]]
+Metrics = dict[str, Floats]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
@@ -134,7 +133,7 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
     return [{name: piece[k].copy() for name, piece in pieces.items()} for k in range(len(parts))]
 
 
-def require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:
+def require_these_arms(run: Recording, scenarios: Split, rows: Integers) -> None:
     """Check that a run had the arms and moves of its scenarios, which it drew on the way if they are shifts.
 
     Moves after that in which an arm left its workspace were not run.
@@ -280,7 +279,7 @@ class Perturbed:
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: tuple[Any] | None = None,
         episode_start: Flags | None = None,
         deterministic: bool = True,
