@@ -70,7 +70,9 @@ class Part:
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
-        key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.count)
+        method, split = self.method, self.split
+        content = [EDITION, VERSION, split.of, split.digest, self.count, method.name, method.kind, method.identity]
+        key = hashlib.sha256(json.dumps([*content, _code()]).encode()).hexdigest()[:16]
         return folder / FOLDER / f"{self.stem}.{key}.safetensors"
 
     @property
@@ -86,12 +88,6 @@ def parts_of(method: Method, split: Split, episodes: int, perturbed: bool = Fals
         return [Part(method, split, episodes, perturbed=perturbed)]
     cuts = [slice(first, min(first + EPISODES, episodes)) for first in range(0, episodes, EPISODES)]
     return [Part(method, split.part(cut), cut.stop - cut.start, cut.start, perturbed) for cut in cuts]
-
-
-def key_of(method: Method, *others: str | int) -> str:
-    """Hash of everything that a method depends on, and of `others`."""
-    content = [*others, method.name, method.kind, method.identity, _code()]
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
 @cache
