@@ -17,8 +17,8 @@ try:
     import tyro
     from matplotlib.backend_bases import FigureCanvasBase
 
-    from agents.policy.bundle import POLICIES
     from baselines.tools.files import require_writable
+    from eval.comparison.methods import shipped_policies
     from eval.report.curves import curves_figure, find_curves, levels
     from eval.report.style import save_figure
 except ModuleNotFoundError as error:
@@ -40,7 +40,7 @@ def run(config: Config) -> None:
     named = config.out.suffix[1:] in FigureCanvasBase.filetypes
     picture = config.out if named else config.out / "curves.png"
     require_writable(picture.parent)
-    curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
+    curves = find_curves(list(config.runs) or shipped_policies())
     save_figure(curves_figure(curves, levels(curves)), picture)
     print(f"{len(curves)} runs; written to {picture}")
 

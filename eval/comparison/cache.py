@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import agents
 import baselines
@@ -28,7 +27,7 @@ from baselines.engines import parallel
 from baselines.optimal import robust
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
 from beltarm_env.sources import sources_digest
@@ -37,7 +36,7 @@ from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.rollouts import Failure, attempt, explained, run_controller
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
 
-Metrics = dict[str, NDArray[np.float64]]
+Metrics = dict[str, Floats]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
@@ -71,7 +70,9 @@ class Part:
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
-        key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.count)
+        method, split = self.method, self.split
+        content = [EDITION, VERSION, split.of, split.digest, self.count, method.name, method.kind, method.identity]
+        key = hashlib.sha256(json.dumps([*content, _code()]).encode()).hexdigest()[:16]
         return folder / FOLDER / f"{self.stem}.{key}.safetensors"
 
     @property
@@ -87,12 +88,6 @@ def parts_of(method: Method, split: Split, episodes: int, perturbed: bool = Fals
         return [Part(method, split, episodes, perturbed=perturbed)]
     cuts = [slice(first, min(first + EPISODES, episodes)) for first in range(0, episodes, EPISODES)]
     return [Part(method, split.part(cut), cut.stop - cut.start, cut.start, perturbed) for cut in cuts]
-
-
-def key_of(method: Method, *others: str | int) -> str:
-    """Hash of everything that a method depends on, and of `others`."""
-    content = [*others, method.name, method.kind, method.identity, _code()]
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
 @cache
@@ -134,7 +129,7 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
     return [{name: piece[k].copy() for name, piece in pieces.items()} for k in range(len(parts))]
 
 
-def require_these_arms(run: Recording, scenarios: Split, rows: NDArray[np.intp]) -> None:
+def require_these_arms(run: Recording, scenarios: Split, rows: Integers) -> None:
     """Check that a run had the arms and moves of its scenarios, which it drew on the way if they are shifts.
 
     Moves after that in which an arm left its workspace were not run.
@@ -280,7 +275,7 @@ class Perturbed:
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: tuple[Any] | None = None,
         episode_start: Flags | None = None,
         deterministic: bool = True,

@@ -210,9 +210,9 @@ def _learned(name: str, members: list[_Read]) -> Method:
     return Method(name, "learned", tuple(str(folder) for folder, *_ in members), identity, training, base)
 
 
-def shipped_policies(seeds: int | None = None) -> list[Path]:
-    """Folders of the shipped policies, `agents/policies/METHOD/SEED`: of each method the first `seeds`, or all."""
-    found = sorted(path.parent for path in POLICIES.glob(f"*/*/{POLICY_FILE}"))
+def shipped_policies(seeds: int | None = None, method: str = "*") -> list[Path]:
+    """Folders of shipped policies, `agents/policies/METHOD/SEED`: the first `seeds`, or all, of one method or each."""
+    found = sorted(path.parent for path in POLICIES.glob(f"{method}/*/{POLICY_FILE}"))
     return [folder for _, of_method in groupby(found, lambda path: path.parent) for folder in islice(of_method, seeds)]
 
 

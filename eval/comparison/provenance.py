@@ -37,7 +37,7 @@ def provenance(module: str, seconds: float, starts: Iterable[str] = _STARTS) -> 
         "command": command_line(),
         "version": __version__,
         "commit": commit(),
-        "python": python_version(),
+        "python": platform.python_version(),
         "machine": f"{_processor()}, {os.cpu_count()} cores",
         "seconds": round(seconds, 1),
         "inputs": inputs_digest(module, tuple(starts)),
@@ -50,11 +50,6 @@ def _processor() -> str:
         named = re.findall(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
         return f"{platform.machine()}, {named[0]}"
     return platform.processor() or platform.machine()
-
-
-def python_version() -> str:
-    """Version of Python; digests of different minor versions cannot be compared, as their syntax trees differ."""
-    return platform.python_version()
 
 
 def origin(about: dict[str, Any]) -> str:

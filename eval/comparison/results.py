@@ -11,9 +11,9 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import __version__
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits, statistics
 from eval.comparison.cache import LEFT, Metrics
@@ -85,7 +85,7 @@ class MethodOutcome:
         return int(np.argsort(costs)[len(costs) // 2])
 
 
-def arrived(metrics: Metrics) -> NDArray[np.bool_]:
+def arrived(metrics: Metrics) -> Flags:
     """Scenarios in which all training seeds of a method arrive, in every move; shape (episodes,)."""
     return ~np.any(metrics[NOT_ARRIVED], axis=0)
 
@@ -94,7 +94,7 @@ def estimated(measured: Sequence[Metrics]) -> list[dict[str, statistics.Estimate
     """Estimate the metrics that are shown, each of several methods and splits; see `MethodOutcome.estimates`."""
     by_name = [dict.fromkeys(SHOWN, statistics.NOTHING) for _ in measured]
     for share in (False, True):
-        cells: list[tuple[int, str, statistics.Floats]] = []
+        cells: list[tuple[int, str, Floats]] = []
         for k, metrics in enumerate(measured):
             there = arrived(metrics)
             for name in SHOWN:
@@ -107,7 +107,7 @@ def estimated(measured: Sequence[Metrics]) -> list[dict[str, statistics.Estimate
     return by_name
 
 
-def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[statistics.Floats, statistics.Floats]:
+def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[Floats, Floats]:
     """Values of two methods in the scenarios in which they are compared: for `OF_ARRIVED` those where both arrive."""
     if name not in OF_ARRIVED:
         return method.metrics[name], other.metrics[name]

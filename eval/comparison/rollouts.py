@@ -100,7 +100,7 @@ def shipped_controller(name: str) -> Controller:
     """Make a shipped controller; of a learned method that of its first training seed."""
     if name in CONTROLLERS:
         return CONTROLLERS[name]()
-    return load_controller(next(folder for folder in shipped_policies() if folder.parent.name == name))
+    return load_controller(*shipped_policies(1, name))
 
 
 class Recorder(Generic[Note]):

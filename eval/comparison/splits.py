@@ -18,16 +18,14 @@ from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
 from beltarm_env.arm import NOMINAL, params_columns
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.batch import ArmBatch
-from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import PRESLIDING, SHIFT_RANGES, TRAIN_RANGES, Ranges
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import drawn, seeded
-
-Floats = NDArray[np.float64]
 
 EDITION = 3
 """Of the comparison: the kinds of arms that it asks about. Results of two editions answer different questions."""
@@ -157,11 +155,11 @@ class Split:
         """First moves, shape (n, 4)."""
         return self.all_moves[0]
 
-    def arms(self, rows: slice | NDArray[np.intp]) -> list[list[ArmParams]]:
+    def arms(self, rows: slice | Integers) -> list[list[ArmParams]]:
         """Return the constants of some arms, in each move."""
         return arms_of(self.tables[:, rows])
 
-    def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
+    def arguments(self, chosen: slice | Integers) -> dict[str, Any]:
         """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
         late = {"delay": self.delays[chosen]} if self.delays.any() else {}
         if len(self.tables) > 1:  # what comes after the first move is drawn on the way
@@ -175,7 +173,7 @@ class Split:
         """Key of the splits whose scenarios can run in a batch with those of this one."""
         return json.dumps(self.settings, sort_keys=True), bool(self.delays.any())
 
-    def part(self, rows: slice | NDArray[np.intp]) -> Split:
+    def part(self, rows: slice | Integers) -> Split:
         """Make a split of some of the scenarios."""
         chosen = self.tables[:, rows], self.all_moves[:, rows], self.delays[rows]
         return make_split(self.name, self.of, self.seeds[rows], self.settings, *chosen)
@@ -186,10 +184,6 @@ class Split:
             return self
         settings, few = {**self.settings, "moves": moves}, slice(moves)
         return make_split(self.name, self.of, self.seeds, settings, self.tables[few], self.all_moves[few], self.delays)
-
-    def run(self, controller: Controller, scenario: int) -> Recording:
-        """Run a controller on one scenario by itself."""
-        return rollout(controller, 1, **self.arguments(slice(scenario, scenario + 1)))
 
 
 def arms_of(tables: Floats) -> list[list[ArmParams]]:

@@ -17,13 +17,12 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 from scipy.stats import bootstrap
 
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.metrics import METRICS
 
-Floats = NDArray[np.float64]
 Result = TypeVar("Result")
 
 RESAMPLES = 2000
@@ -77,7 +76,7 @@ def resampled(values: Floats, mean: bool = False) -> Floats:
     *several, seeds, episodes = values.shape
     tables = values.reshape(-1, seeds * episodes)
 
-    def centers(scenarios: NDArray[np.intp], runs: NDArray[np.intp] | None = None, *, axis: int) -> Floats:
+    def centers(scenarios: Integers, runs: Integers | None = None, *, axis: int) -> Floats:
         places = scenarios
         if runs is not None:
             places = (episodes * runs[..., :, None] + scenarios[..., None, :]).reshape(len(runs), -1)

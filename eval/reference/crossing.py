@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import DOP853
 from scipy.optimize import brentq, minimize_scalar
 
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 _LOOKS = 8
 """Times at which the margin is looked at within each step of the integrator."""

@@ -20,9 +20,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
+from beltarm_env.arrays import Floats
 from eval.reference.crossing import integrate_until
 from eval.reference.drive import (
     SHORTEST,
@@ -38,7 +38,6 @@ from eval.reference.drive import (
     stribeck,
 )
 
-Floats = NDArray[np.float64]
 Terms = Callable[[float, float, float, float], tuple[float, float, float, float, float, float]]
 """Of theta_1, phi and their rates: M_11, M_12, M_22, c_1, c_2 and the kinetic energy."""
 

@@ -12,21 +12,18 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
-from numpy.typing import NDArray
 from scipy.signal import detrend
 from scipy.signal.windows import hann
 
 from baselines.models.modes import held_mode
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording
 from beltarm_env.timing import CONTROL_PERIOD
 from eval.comparison.schema import AGAINST
@@ -145,7 +142,6 @@ def _symmetric_log(axis: Axes, unit: float) -> None:
 
 # Motions
 
-Floats = NDArray[np.float64]
 Run = tuple[Recording, dict[str, Any]]
 """Motion with the style of its method's line."""
 Draw = Callable[[FigureBase, list[Run]], Iterable[float]]

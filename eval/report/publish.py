@@ -52,7 +52,6 @@ from eval.report.table import Record, Results, estimate, to_terminal
 from eval.report.text import degrees
 from eval.report.verdict import verdict
 
-_INTERVALS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 _MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
 _ACROSS = 3  # splits side by side
 _ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
@@ -163,13 +162,13 @@ def _answer(results: Results, note: str) -> Figure:
 
 def _intervals(results: Results, note: str) -> Figure:
     """Interquartile means with their intervals: a row of axes per split, best at the top, what is not ranked below."""
-    down, across = len(results.splits), len(_INTERVALS)
+    down, across = len(results.splits), len(PAIRED_METRICS)
     height = (0.9 + 0.19 * len(results.methods)) * down + 0.6
     figure, axes = plt.subplots(down, across, figsize=(3.0 * across, height), layout="constrained", squeeze=False)
     for row, split in zip(axes, results.splits, strict=True):
         ranking = sorted(results.on(split), key=lambda r: (r["kind"] != "privileged", -estimate(r, "cost").iqm))
         best = results.records.get((results.best_classical(split) or "", split))
-        for axis, name in zip(row, _INTERVALS, strict=True):
+        for axis, name in zip(row, PAIRED_METRICS, strict=True):
             _draw_intervals(axis, ranking, name)
             if best and np.isfinite(estimate(best, name).iqm):
                 axis.axvline(estimate(best, name).iqm, color=BLUE, lw=0.8, ls=":")

@@ -58,11 +58,10 @@ def _save(figure: Figure, path: Path, **options: Any) -> None:
         few.save(path, optimize=True)
 
 
-def save_figures(figures: Mapping[str, Callable[[], Figure]], folder: Path, **options: Any) -> list[Path]:
+def save_figures(figures: Mapping[str, Callable[[], Figure]], folder: Path, **options: Any) -> None:
     """Draw figures one after the other into files of `folder`, by name; arguments and errors as of `save_figure`."""
     for name, draw in figures.items():
         save_figure(draw(), folder / name, **options)
-    return [folder / name for name in figures]
 
 
 def panels(count: int, across: int, size: tuple[float, float], **options: Any) -> tuple[Figure, list[Axes]]:

@@ -32,6 +32,7 @@ from baselines.tools.command import require_bounds, require_known
 from baselines.tools.files import require_writable, write_text
 from beltarm_env.metrics import heading
 from eval.comparison.provenance import origin, provenance
+from eval.comparison.splits import EPISODES
 from eval.report.style import save_figures
 from eval.report.text import cell, degrees, number, rounded
 
@@ -57,6 +58,18 @@ class StudyOptions:
     """Folder for data.json, page.md and the pictures. Default: results/NAME."""
     quick: bool = False
     """Only try the study, with little of everything."""
+
+
+@dataclass(frozen=True)
+class DevelopmentOptions(StudyOptions):
+    """Options of studies on the development set."""
+
+    bounds = Bounds(episodes=(4, EPISODES))
+
+    splits: tuple[str, ...] = ()
+    """Splits to run. Default: all."""
+    episodes: int = 24
+    """Scenarios per split, 4 to 200."""
 
 
 def names() -> list[str]:

@@ -1,6 +1,7 @@
 """All measured pages: whether the code that measured them is still the same, rendered from data, measured anew."""
 
 import importlib
+import platform
 import re
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 from baselines.tools.command import require_known
 from baselines.tools.files import write_text
 from baselines.tools.provenance import commit
-from eval.comparison.provenance import ROOT, inputs_digest, python_version
+from eval.comparison.provenance import ROOT, inputs_digest
 from eval.comparison.results import MEASURES, STARTS
 from eval.report import summary
 from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render, text_of
@@ -84,7 +85,8 @@ def state(page: Page, folder: Path) -> State:
     except (OSError, ValueError, KeyError):
         return State("missing")
     measured = (about["commit"], float(about["seconds"]))
-    if about["python"].rpartition(".")[0] != python_version().rpartition(".")[0]:
+    here = platform.python_version()  # digests of different minor versions differ, as their syntax trees do
+    if about["python"].rpartition(".")[0] != here.rpartition(".")[0]:
         return State("not comparable", *measured)
     module = importlib.import_module(page.module)
     if hasattr(module, "Options") and about["options"] != chosen_options(module.Options()):

@@ -20,9 +20,10 @@ from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, rollout
 from eval.comparison.methods import chosen
 from eval.comparison.sets import development_set
-from eval.comparison.splits import EPISODES, Split, main_split
+from eval.comparison.splits import Split, main_split
 from eval.report.style import BLUE, GREEN, ORANGE, below, name_rows
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import DevelopmentOptions as Options
+from eval.studies._frame import Pictures
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 HOLD = 4
@@ -31,18 +32,6 @@ ACTING = ("adaptive", "student")
 """Controllers whose episodes are watched; the tables of one controller are those of the last."""
 _SHOWN_AS = {"rad": (1e3, "mrad"), "rad/s": (1.0, "rad/s"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "ln": (100, "%")}
 """Factor and unit in which a quantity's error is shown; the error of a logarithm is about a share."""
-
-
-@dataclass(frozen=True)
-class Options(StudyOptions):
-    """Options of the study."""
-
-    bounds = Bounds(episodes=(4, EPISODES))
-
-    splits: tuple[str, ...] = ()
-    """Splits to run. Default: all."""
-    episodes: int = 24
-    """Scenarios per split, 4 to 200."""
 
 
 class FilterAlone:

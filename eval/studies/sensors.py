@@ -20,10 +20,11 @@ from beltarm_env.rollout import Controller, rollout
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
-from eval.comparison.splits import EPISODES, Split, main_split
+from eval.comparison.splits import Split, main_split
 from eval.comparison.statistics import average, paired
 from eval.report.style import BLUE, GREEN, ORANGE, below, name_rows
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import DevelopmentOptions as Options
+from eval.studies._frame import Pictures
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 Tier = Literal["encoder", "accelerometer"]
@@ -34,18 +35,6 @@ NAMES = (*WITH_ACCELEROMETER, STUDENT)
 COMPARED = ("cost", "tip_rms_mm", "residual_pp_mm")
 """Metrics that are compared scenario by scenario."""
 _COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
-
-
-@dataclass(frozen=True)
-class Options(StudyOptions):
-    """Options of the study."""
-
-    bounds = Bounds(episodes=(4, EPISODES))
-
-    splits: tuple[str, ...] = ()
-    """Splits to run. Default: all."""
-    episodes: int = 24
-    """Scenarios per split, 4 to 200."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.policy.bundle import POLICIES, load_controller
+from agents.policy.bundle import load_controller
 from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
@@ -25,7 +25,7 @@ from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.recording import Recording
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.methods import PRIVILEGED
+from eval.comparison.methods import PRIVILEGED, shipped_policies
 from eval.comparison.rollouts import calls_side_by_side
 from eval.comparison.splits import arms_of
 from eval.comparison.statistics import average, worst_mean
@@ -103,7 +103,7 @@ ASIDE = (
     Step(
         "a learned residual on `adaptive`, all seeds",
         "student",
-        lambda _: [load_controller(folder) for folder in sorted((POLICIES / "student").glob("seed*"))],
+        lambda _: [load_controller(folder) for folder in shipped_policies(method="student")],
     ),
 )
 """Not of the chain: what identification is worth to the same law, and what learning adds to it."""

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from eval import study
 from eval.comparison import provenance
+from eval.comparison.methods import shipped_policies
 from eval.studies import _frame, steps
 from eval.studies.loops import costs
 
@@ -40,8 +41,7 @@ def draw_alone(figures: Mapping[str, Callable[[], Figure]], folder: Path, **_: o
 
 def hurry(patch: pytest.MonkeyPatch) -> None:
     """Leave out what takes longest in a first try: files of pictures, the digest, most changes, steps and seeds."""
-    seeds = [steps.POLICIES / "student" / f"seed{k}" for k in range(2)]
-    learned = steps.ASIDE[1]._replace(make=lambda _: [*map(steps.load_controller, seeds)])
+    learned = steps.ASIDE[1]._replace(make=lambda _: [*map(steps.load_controller, shipped_policies(2, "student"))])
     patch.setattr(_frame, "save_figures", draw_alone)
     patch.setattr(costs, "CHANGES", costs.CHANGES[:4])
     patch.setattr(steps, "CHAIN", (*steps.CHAIN[::3], steps.CHAIN[-1]))

@@ -117,8 +117,7 @@ class FaultyArms(BeltArmVectorEnv):
 
     def _load(self, which: Flags) -> None:
         """Double the payload of some arms, which keep their speeds."""
-        for arm in np.flatnonzero(which):
-            self._batch.table[arm, COLUMN.payload_mass] *= 2
+        self._batch.table[which, COLUMN.payload_mass] *= 2
         plants = at.rows(self._batch.blocks, at.PLANT, len(Plant._fields), self._batch.num_arms)
         for arm in np.flatnonzero(which):
             plants[arm] = plant_of(self._batch.table[arm])
@@ -154,10 +153,10 @@ class FaultyArms(BeltArmVectorEnv):
 
     def _rewritten(self, seen: Singles, true: Floats, shown: Floats, before: Floats) -> Singles:
         """Observations with other counts."""
-        result, old = seen.astype(np.float64) * _SCALES, seen.astype(np.float64) * _SCALES
+        result = seen.astype(np.float64) * _SCALES
         angle = shown * self._batch.resolution
         speed = (shown - before) * self._batch.resolution / CONTROL_PERIOD
-        reference_speed = old[:, _COLUMNS["motor_speed_error"]] + old[:, _COLUMNS["motor_speed"]]
+        reference_speed = result[:, _COLUMNS["motor_speed_error"]] + result[:, _COLUMNS["motor_speed"]]
         result[:, _COLUMNS["motor_angle"]] = angle
         result[:, _COLUMNS["motor_speed"]] = speed
         result[:, _COLUMNS["motor_angle_error"]] += (true - shown) * self._batch.resolution

@@ -16,11 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from agents.policy.bundle import POLICIES
 from agents.residual.bases import make_base
 from baselines.tools.command import require_known
 from baselines.tools.files import require_writable
 from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.methods import shipped_policies
 from eval.comparison.rollouts import calls_side_by_side
 from eval.report.curves import BEST_CLASSICAL, Curve, classical_cost, curves_figure, find_curves, levels
 from eval.report.style import COLOURS, panels
@@ -82,7 +82,7 @@ def measure(options: Options) -> dict[str, Any]:
     ]
     bases = [variant["runs"][0]["base"] for variant in variants]
     validated = {(run["validation_arms"], run["moves"]) for variant in variants for run in variant["runs"]}
-    shipped = find_curves([path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
+    shipped = find_curves(shipped_policies())
     return {
         "samples": options.samples,
         "arms": options.arms,

@@ -5,18 +5,18 @@ In each bin one constant of the arms lies between two bounds. All others are dra
 
 import math
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.policy.bundle import POLICIES, load_controller
+from agents.policy.bundle import load_controller
 from agents.residual.bases import make_base
 from beltarm_env.arm import NOMINAL
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import SHIFT_RANGES
 from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.methods import shipped_policies
 from eval.comparison.rollouts import side_by_side
 from eval.report.curves import BEST_CLASSICAL
 from eval.report.style import COLOURS, below, panels
@@ -48,13 +48,9 @@ COMPARED = {"cost": "cost", "torque_rate_rms": "torque rate", "torque_reversals_
 _MOVES = 2  # one with a part, one without
 
 
-def _policies(method: str) -> list[Path]:
-    return sorted((POLICIES / method).glob("seed*"))
-
-
 def measure(bins: int, arms: int, jobs: int | None) -> dict[str, list[dict[str, Any]]]:
     """Measure ratios to the best classical controller in each bin of each of `DIVIDED`; some arms for each policy."""
-    arms *= math.lcm(*(len(_policies(method)) for method in METHODS))
+    arms *= math.lcm(*(len(shipped_policies(method=method)) for method in METHODS))
     results = side_by_side("bins", ratios, [(name, k, bins, arms) for name in DIVIDED for k in range(bins)], jobs)
     return {name: [results[name, k, bins, arms] for k in range(bins)] for name in DIVIDED}
 
@@ -65,7 +61,7 @@ def ratios(name: str, k: int, bins: int, arms: int) -> dict[str, Any]:
     low, high = (of.low + (of.high - of.low) * edge / bins for edge in (k, k + 1))
     task = {"seed": ABLATIONS.first + k * arms, "randomization": {**SHIFT_RANGES, name: (low, high)}, "moves": _MOVES}
     controllers = {BEST_CLASSICAL: make_base(BEST_CLASSICAL)}
-    controllers |= {method: load_controller(*_policies(method)) for method in METHODS}
+    controllers |= {method: load_controller(*shipped_policies(method=method)) for method in METHODS}
     runs = {method: rollout(controller, arms, **task).metrics() for method, controller in controllers.items()}
     means = {method: {metric: np.nanmean(run[metric]) for metric in COMPARED} for method, run in runs.items()}
     base = means.pop(BEST_CLASSICAL)

@@ -14,10 +14,11 @@ import torch
 
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, Recorder, advise, states_before
-from agents.policy.bundle import POLICIES, load_controller
+from agents.policy.bundle import load_controller
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.methods import shipped_policies
 from eval.comparison.rollouts import calls_side_by_side, side_by_side
 
 TOLD = {
@@ -33,7 +34,7 @@ _FIT = StudentConfig(rounds=1, epochs=6, learning_rate=2e-3)
 
 def measure(arms: int, jobs: int | None) -> dict[str, Any]:
     """Measure the shares, with so many arms for each of the shipped students."""
-    policies = sorted(str(path) for path in (POLICIES / "student").glob("seed*"))
+    policies = [str(path) for path in shipped_policies(method="student")]
     found = side_by_side("advice", outstanding, [(path, k, arms) for k, path in enumerate(policies)], jobs)
     parts, truths = zip(*found.values(), strict=True)
     advice = Advice(*(torch.cat(part, dim=1) for part in zip(*parts, strict=True)))

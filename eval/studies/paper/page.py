@@ -14,7 +14,7 @@ from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, below, damping_lines, mark_one_two_five
-from eval.report.text import degrees, poles_text
+from eval.report.text import degrees, number
 from eval.studies._arms import ALL, IDEAL, heading
 from eval.studies._frame import Pictures
 from eval.studies.paper import linear, runs
@@ -59,8 +59,12 @@ def tables(data: Data) -> Data:
 
 
 def pole_pairs(pairs: list[list[float]]) -> str:
-    """Poles of the data as text."""
-    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
+    """Poles of the data [1/s] as text, in their order, each conjugate pair once with its damping ratio."""
+    texts = []
+    for pole in (complex(*pair) for pair in pairs if pair[1] > -1e-6):
+        rest = f" ± {number(pole.imag, 1)}j (ζ {number(-pole.real / abs(pole), 3)})" if pole.imag > 1e-6 else ""
+        texts.append(number(pole.real, 2) + rest)
+    return ", ".join(texts)
 
 
 def counts(data: Data, view: str) -> Counter[str]:

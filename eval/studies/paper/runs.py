@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines import PaperController
 from baselines.reading import read
 from baselines.servo.paper import PaperGains
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_columns, plant_of
-from beltarm_env.arrays import Floats
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import Recording, rollout
@@ -92,11 +91,11 @@ class AssumedServo:
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: Floats | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Flags | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Floats]:
+    ) -> tuple[Singles, Floats]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         action, memory = self._servo.predict(observation, state, episode_start, deterministic)
         torque, reading = action[:, 0].astype(np.float64) * _UNLIMITED, read(observation, self._servo.params, "full")
