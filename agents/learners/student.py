@@ -229,7 +229,7 @@ class Student:
         episodes, errors = advice.labels.shape[1], list[float]()
         if not episodes:
             return 0.0
-        if self.rounds == 0:  # the average takes over what is no weight with its next step
+        if not network.mean.any():  # in the first round; the average takes over what is no weight with its next step
             network.set_scales(advice.inputs.float())
 
         network.to(config.device)
