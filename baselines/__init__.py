@@ -23,10 +23,8 @@ __all__ = [
     "tuned_controller",
 ]
 
-_HOME = {
-    **dict.fromkeys(("CONTROLLERS", "DOMINATED", "TUNABLE", "tuned_controller"), "baselines.registry"),
-    **dict.fromkeys(("PaperController", "PaperGains", "rigid_controller"), "baselines.servo.paper"),
-}
+_OF_PAPER = ("PaperController", "PaperGains", "rigid_controller")
+_HOME = dict.fromkeys(__all__, "baselines.registry") | dict.fromkeys(_OF_PAPER, "baselines.servo.paper")
 
 
 def __getattr__(name: str) -> Any:

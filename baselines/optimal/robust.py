@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize, root
 
-from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, with_disturbance
 from baselines.gains import tunable, tuned
 from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
@@ -111,11 +111,11 @@ def loops_at(params: ArmParams, k: int, weights: Weights, noise: Noise, stopped:
     estimate, (d, v, last, rounding, unknown) = slice(first, size - 5), range(size - 5, size)
     transition, spectra = np.zeros((len(arms), size, size)), np.zeros((len(arms), size, size))
     for matrix, spectrum, arm, (a, b) in zip(transition, spectra, arms, sampled, strict=True):
-        own, linear = len(a), linear_arm(arm)
+        own, linear = len(a), linear_arm(arm).at(k)
         matrix[:own, :own], matrix[:own, v], matrix[:own, d] = a, b[:, 0], -b[:, 0]
-        matrix[:4, unknown] = linear.by_torque[k]
-        for effect, deviation in ((linear.by_torque, noise.torque), (linear.by_acceleration, noise.acceleration)):
-            spectrum[:4, :4] += deviation**2 * np.outer(effect[k], effect[k])
+        matrix[:4, unknown] = linear.by_torque
+        _, covariance = with_disturbance(linear, noise.torque, noise.acceleration, 1.0)
+        spectrum[:4, :4] = covariance[:4, :4]
     spectra[:, rounding, rounding] = QUANTUM**2 / 12
     for row, column in product((0, first), repeat=2):  # the arm is elsewhere, and the estimate follows
         spectra[:, row, column] += stopped**2 * CONTROL_PERIOD
