@@ -20,7 +20,6 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import NOMINAL, params_columns
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.batch import ArmBatch
-from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import PRESLIDING, SHIFT_RANGES, TRAIN_RANGES, Ranges
@@ -185,10 +184,6 @@ class Split:
             return self
         settings, few = {**self.settings, "moves": moves}, slice(moves)
         return make_split(self.name, self.of, self.seeds, settings, self.tables[few], self.all_moves[few], self.delays)
-
-    def run(self, controller: Controller, scenario: int) -> Recording:
-        """Run a controller on one scenario by itself."""
-        return rollout(controller, 1, **self.arguments(slice(scenario, scenario + 1)))
 
 
 def arms_of(tables: Floats) -> list[list[ArmParams]]:
