@@ -15,7 +15,7 @@ from outcomes import content_of, made, outcome, outcome_of
 from baselines import CONTROLLERS
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.rollout import Recording, rollout
 from eval.comparison.cache import Part, measure
 from eval.comparison.methods import classical_methods
 from eval.comparison.results import MethodOutcome
@@ -91,7 +91,7 @@ def test_the_spectrum_of_a_sine_is_a_peak_of_its_height(hertz: float, amplitude:
 
 
 def test_the_animation_has_the_motion_itself():
-    motion = run("nominal", CONTROLLERS["paper"](), 3)
+    motion = rollout(CONTROLLERS["paper"](), 1, **SPLITS_SHOWN["nominal"].arguments(slice(3, 4)))
     (scene,) = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})["scenes"]
     frames = np.frombuffer(base64.b64decode(scene["methods"][0]["frames"]), "<f4").reshape(-1, 5)
     assert frames.shape == (1200 // EVERY, 5)
@@ -106,11 +106,6 @@ def test_the_animation_has_the_motion_itself():
 
 
 SPLITS_SHOWN = {name: development_set().splits[name].shortened(2) for name in ("nominal", "sensing", "structural")}
-
-
-def run(split: str, controller: Controller, scenario: int) -> Recording:
-    """Run a controller on one scenario by itself."""
-    return rollout(controller, 1, **SPLITS_SHOWN[split].arguments(slice(scenario, scenario + 1)))
 
 
 def measured(name: str, split: Split) -> MethodOutcome:
@@ -141,7 +136,7 @@ def test_motions_are_those_of_each_episode_by_itself():
     scenes, failures = record(chosen, made(*outcomes), SPLITS_SHOWN, ["adrc", "paper"], 1)
     assert not failures and all(list(scene.motions) == ["paper", "adrc"] for scene in scenes)
     for scene, name in product(scenes, ("paper", "adrc")):
-        alone = run(scene.split, CONTROLLERS[name](), scene.scenario)
+        alone = rollout(CONTROLLERS[name](), 1, **SPLITS_SHOWN[scene.split].arguments(np.array([scene.scenario])))
         alone = alone.of_move(loaded(alone.num_moves))
         for field in fields(Recording):
             assert np.array_equal(getattr(scene.motions[name], field.name), getattr(alone, field.name)), field.name
@@ -165,4 +160,4 @@ def test_an_episode_is_drawn_as_it_was_measured_in_its_batch(count: int, monkeyp
     scenes, failures = record(chosen, made(outcome), SPLITS_SHOWN, ["paper"], 1)
     assert not failures
     assert [scene.motions["paper"].cost[0] for scene in scenes] == list(outcome.metrics["cost"][0, :count])
-    assert run("nominal", Trembles(), 0).cost[0] != outcome.metrics["cost"][0, 0]
+    assert rollout(Trembles(), 1, **SPLITS_SHOWN["nominal"].arguments(slice(1))).cost != outcome.metrics["cost"][0, 0]
