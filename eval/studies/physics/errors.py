@@ -48,11 +48,14 @@ def arms_of(name: str, count: int) -> Floats:
     return with_effect(table, ALL, 1.0) if name == "ends" else table
 
 
-def commanded(driver: str, table: Floats, model: str) -> tuple[Floats, Floats]:
-    """Return the torques that one of `DRIVERS` commands [N m], (T, n), and the motor angles at the start, (n,)."""
+def commanded(driver: str, table: Floats, model: str, seed: int) -> tuple[Floats, Floats]:
+    """Return the torques that one of `DRIVERS` commands [N m], (T, n), and the motor angles at the start, (n,).
+
+    The first arm has the move of the seed, and the others those of the next ones.
+    """
     settings: dict[str, Any] = {"model": model, "autoreset_mode": AutoresetMode.DISABLED}
     env = BeltArmVectorEnv(len(table), **settings)
-    seed, options = CROSSCHECK.first, {"params": params_columns(table)}
+    options = {"params": params_columns(table)}
     recording = record(CONTROLLERS["paper" if driver == "random" else driver](), env, seed=seed, options=options)
     starts = recording.moves[:, 0] * table[:, COLUMN.gear_ratio]
     if driver == "random":
@@ -113,7 +116,7 @@ def errors_of(name: str, model: str, driver: str, count: int, samples: int) -> d
     parts = []
     for low in range(0, count, _AT_ONCE):
         table = arms_of(name, count)[low : low + _AT_ONCE]
-        torques, starts = commanded(driver, table, model)
+        torques, starts = commanded(driver, table, model, CROSSCHECK.first + low)
         parts.append(motion_errors(table, model, torques[:samples], starts))
     joined = {key: np.concatenate([part[key] for part in parts], axis=-1) for key in parts[0]}
     steady = joined["growth"] < SENSITIVE
