@@ -10,8 +10,7 @@ from commands import python
 from agents.policy.bundle import read_spec
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
-INSTALL = 'pip install -c docs/examples/rllib-constraints.txt "ray[rllib]" -e ".[checkout]"'
-NO_RLLIB = f"no RLlib here, which needs another Gymnasium: in a virtual environment of its own, {INSTALL}"
+NO_RLLIB = "RLlib has an environment of its own, see docs/examples/index.md"
 
 
 def costs_in(output: str, pattern: str) -> list[float]:
