@@ -37,7 +37,7 @@ class CorrectionMemory(NamedTuple):
 
     recurrent: Singles  # the policy's, shape (1, numbers that it remembers)
     residual: Singles  # held, shape (1, 1)
-    age: NDArray[np.int64]  # samples since the episode's start, shape (1,)
+    age: NDArray[np.int64]  # samples since the base began, shape (1,)
     unexplained: Floats  # angles of the last samples [rad], shape (RECENT,)
     seen: Singles  # what the agent observes, shape (size + entries,)
     inputs: Singles  # of the policy, shape (1, inputs)
@@ -60,6 +60,7 @@ def correct(
     now: Sample,
     belief: Belief | None,
     begins: bool,
+    anew: bool,
     memory: CorrectionMemory,
 ) -> float:
     """Residual of one sample, from -1 to 1; with `combined` the action.
@@ -70,11 +71,13 @@ def correct(
         action: Of the base: its torque over the limit, cut and in single precision.
         now: What is measured.
         belief: What is believed at this sample; None if the agent observes no belief.
-        begins: Whether an episode begins.
+        begins: Whether base and belief begin anew: with each move, if the base remembers nothing.
+        anew: Whether an episode begins, and so the policy's memory.
         memory: Written.
     """
     if begins:
         memory.age[0] = 0
+    if anew:
         memory.recurrent[:] = 0.0
     if belief is not None:
         push_unexplained(belief, 0, begins, memory.unexplained)

@@ -100,15 +100,16 @@ class ResidualController:
 
     Attributes:
         params: Arm that it is made for, see `Controller`.
-        remembers: Whether its memory, the policy's too, lasts from move to move, as the base's does or not.
     """
+
+    remembers = True
+    """The policy's memory lasts from move to move; the base, and what is believed, begin anew if the base's does not."""
 
     def __init__(self, base: Controller, policy: Controller, settings: ResidualSettings) -> None:
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
         self.params = self.informed.params
-        self.remembers = self.informed.remembers
 
     def predict(
         self,
@@ -121,19 +122,30 @@ class ResidualController:
         count = len(observation)
         if state is None:
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
-        begins = beginning(state.informed, episode_start, observation, self.remembers)
+        anew = beginning(state.informed, episode_start, observation, self.remembers)
+        begins = beginning(state.informed, anew, observation, self.informed.remembers)
         informed = self.informed.advance(observation, state.informed, begins)
         age = np.where(begins, 0, state.age)
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0
         if due.any():
             seen = self.informed.seen(observation, informed)
-            fresh, following = self.policy.predict(seen, policy, begins, deterministic)
+            fresh, following = self.policy.predict(seen, policy, anew, deterministic)
             residual = np.where(due[:, None], fresh, residual)
-            # By rows: the new memory where the policy decided, the old one elsewhere.
-            policy = chosen(due, following, policy) if isinstance(policy, np.ndarray) else following
+            policy = following if policy is None else _where(due, following, policy)
         action = combine(informed.action, residual, self.settings.limit)
         return action, ResidualMemory(informed, policy, residual, age + 1)
+
+
+def _where(due: Flags, following: Any, before: Any) -> Any:
+    """Memory of a policy: the new one of arms for which it decided, the old one of all others.
+
+    Of the project's policies it is an array with the arms first, of one with an LSTM by sb3-contrib a tuple of arrays,
+    each with the layers before the arms.
+    """
+    if isinstance(before, tuple):
+        return tuple(np.where(due[:, None], new, old) for new, old in zip(following, before, strict=True))
+    return chosen(due, following, before) if isinstance(before, np.ndarray) else following
 
 
 class GuardedResidualController(GuardedController):

@@ -43,9 +43,9 @@ from baselines.planning.plan import (
     step_of_plan,
     torque_between,
 )
-from baselines.reading import Reading, Sample
+from baselines.reading import Reading, Sample, chosen
 from beltarm_env import EPISODE_STEPS, ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
 from beltarm_env.kernels.simulate import Room, room_for
 
@@ -167,15 +167,29 @@ class AccelerometerPreviewController(PreviewController):
 
     sensors = "accelerometer"
     correction = staticmethod(correct_by_both)
-    memory_size = _END + 2 * AXES
+    memory_size = _END + 2 * AXES + 1  # its last entry is 1 where the zero-g output is known
+
+    def predict(
+        self,
+        observation: Singles,
+        state: PreviewMemory | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Singles, PreviewMemory]:
+        """Torque over its limit, see `ClassicalController`; the zero-g output lasts from move to move."""
+        if state is not None and episode_start is not None:
+            state = state._replace(rows=chosen(np.asarray(episode_start), np.zeros_like(state.rows), state.rows))
+        return super().predict(observation, state, episode_start, deterministic)
 
     def _known(self) -> PreviewDesign:
         return super()._known()._replace(observer=accelerometer_design(self.params, self.gains.noise()))
 
     def _measured(self, reading: Reading, begins: Flags, rows: Floats) -> Measured:
         assert reading.acceleration is not None
-        before, bias = rows[:, _END : _END + AXES], rows[:, _END + AXES :]
-        before[begins] = bias[begins] = reading.acceleration[begins]
+        before, bias, known = rows[:, _END : _END + AXES], rows[:, _END + AXES : -1], rows[:, -1]
+        first = known == 0.0
+        before[first] = bias[first] = reading.acceleration[first]
+        known[:] = 1.0
         acceleration, variance = unfiltered(reading.acceleration, before)
         acceleration[variance > SPREAD**2] = np.nan
         before[:] = reading.acceleration

@@ -169,8 +169,8 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
             belief = memory.base.belief if shared else memory.filter.belief
             surprise = belief.tracks.surprise[0]
         seen = device.observation[0]
-        residual = correct(design.correction, seen, base, now, belief, begins, memory.correction)
-        share = design.correction.limit
+        share, anew = design.correction.limit, device.begins[0] == EPISODE
+        residual = correct(design.correction, seen, base, now, belief, begins, anew, memory.correction)
         return Proposal(base, share * residual, combined(base, residual, share), surprise)
 
     return propose

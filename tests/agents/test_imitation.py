@@ -21,6 +21,7 @@ from agents.learners import teaching
 from agents.learners.ppo import TAUGHT, PpoConfig, TaughtLearner
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
+from agents.policy.actor import Actor
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
@@ -131,17 +132,22 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
 
 
 def test_advice_on_a_shift():
-    """Every move is advised on in the state that it begins in, as the environment has it, bit for bit."""
+    """Every move is advised on in the state that it begins in, bit for bit; a memory lasts, in training as in acting."""
     settings, task = ResidualSettings(limit=0.2, hold=4), {"randomization": "train", "moves": 3}
-    recorder = Recorder(Constant(0.1))
+    torch.manual_seed(0)
+    actor = Actor(StudentConfig(gru_width=4, hidden=(4,)).spec().shape())
+    recorder = Recorder(NetworkPolicy(actor.weights()))
     recording = rollout(ResidualController(CONTROLLERS["preview"](), recorder, settings), 2, seed=SEED, **task)
     states = teaching._motion(recording)
     np.testing.assert_array_equal(states[1:, :, :4], recording.state[:-1])
     np.testing.assert_array_equal(states[0, 2:, :4], recording.state[-1, :-2])
+    inputs, residuals = recorder.held(0, settings.hold)
+    fitted = actor(torch.from_numpy(inputs)).detach()[..., 0].clamp(-1, 1)
+    np.testing.assert_allclose(residuals, fitted, atol=1e-5)
     advice, (changes, curvatures) = advise(recording, recorder, settings), best_changes(recording)
     assert advice.labels.shape == (3 * 300, 2) and 0 < curvatures.min() <= curvatures.max() < 100
     c, h = changes[40:44, 3], curvatures[40:44, 3]
-    best = 0.1 + (h * c - 0.02).sum() / (h + 1).sum() / 0.2
+    best = residuals[310, 1] + (h * c - 0.2 * residuals[310, 1]).sum() / (h + 1).sum() / 0.2
     assert (recording.state[39:44, 3, 1] != 0).all() and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
     believed = [entry.name for entry in offered("belief")].index("believed_torsion_speed")
     wrong_by = recording.state[39, 3, 3] - 0.2 * recorder.inputs[310][1, believed]
