@@ -55,7 +55,7 @@ class OnPolicyConfig(ReinforcementConfig):
         """Check the options, see `RunConfig.check`."""
         super().check()
         require_bounds(self, rollout_steps=(1, None), batch_size=(1, None), epochs=(1, None))
-        require_bounds(self, entropy=(0, None), gae_lambda=(0, None))
+        require_bounds(self, entropy=(0, None), gae_lambda=(0, 1))
         self.positive("clip_range")
         if self.arms * self.rollout_steps < 2:
             raise ValueError("--arms times --rollout-steps must be at least 2")

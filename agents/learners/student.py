@@ -8,8 +8,7 @@ round
     1. new arms, and a move for each, are drawn, and the student makes the moves;
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
     3. the student u is fitted to the last rounds' advice: min sum w H(u - y), Huber's H. Its memory goes through whole
-       episodes, gradients through segments of them (truncated backpropagation through time). What the memory holds has
-       to tell, too, by what the filter is wrong (an auxiliary task [2]): the policy does not have this second head.
+       episodes, gradients through segments of them (truncated backpropagation through time).
 
 This is DAgger [1] with a teacher who is asked about the student's states alone, and a policy gradient without
 exploration noise: docs/science/learning.md says why it works where reinforcement learning does not.
@@ -19,12 +18,10 @@ The untrained student is its base, bit for bit. It acts, in training as after it
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
 Online Learning, AISTATS 2011.
-[2] M. Jaderberg et al.: Reinforcement Learning with Unsupervised Auxiliary Tasks, ICLR 2017.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,7 +34,6 @@ from torch.nn.functional import huber_loss
 from agents.learners.teaching import Advice, Recorder, advise
 from agents.policy.actor import Actor, Regression
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import ActorShape
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.settings import RunConfig
@@ -51,7 +47,6 @@ from beltarm_env.task.seeds import SEED_SPACING, training_arms
 MAX_GRADIENT = 5.0
 """Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
-_FAR = 2.0  # errors of a filter that count less, over the scales of its doubts
 
 
 @dataclass(frozen=True)
@@ -92,8 +87,6 @@ class StudentConfig(RunConfig):
     """Holds in each gradient step, through which gradients go back; the memory goes on from the last segment."""
     huber: float = 0.2
     """Threshold of the Huber loss, as a share of the torque limit."""
-    observing: float = 1.0
-    """Weight of a second loss: the memory has to tell by what the filter's torsion and its rate are wrong."""
 
     @property
     def samples(self) -> int:
@@ -115,8 +108,6 @@ class StudentConfig(RunConfig):
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
         require_bounds(self, gru_width=(0, None), segment=(1, None))
         self.positive("huber", "torque_price")
-        if not 0 <= self.observing < math.inf:
-            raise ValueError(f"--observing must be finite and at least 0, got {self.observing}")
         if self.moves > 1 and EPISODE_STEPS % self.hold:
             raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
         if self.rounds * self.arms > SEED_SPACING:
@@ -127,14 +118,6 @@ class StudentConfig(RunConfig):
     def make_learner(self) -> Student:
         """Make an untrained student."""
         return Student(self)
-
-
-class ObservingActor(Actor):
-    """Actor that estimates in training, from the same features, what the filter is wrong by."""
-
-    def __init__(self, shape: ActorShape) -> None:
-        super().__init__(shape)
-        self.estimates = nn.Linear(shape.inputs + shape.gru, 2)
 
 
 class Student:
@@ -153,7 +136,7 @@ class Student:
         self._monitor: TrainingMonitor | None = None
         self._steps_of_round = 0
         shape = config.spec().shape()
-        actor = ObservingActor(shape if inputs is None else replace(shape, inputs=inputs))
+        actor = Actor(shape if inputs is None else replace(shape, inputs=inputs))
         for parameter in actor.layers[-1].parameters():
             nn.init.zeros_(parameter)  # so that it does what its base does
         self._regression = Regression(actor, MAX_GRADIENT)
@@ -210,7 +193,7 @@ class Student:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a snapshot into a new student of the same options."""
         self.rounds, self.advice = state["rounds"], state["advice"]
-        self._regression.restore(state["regression"])
+        self._regression.restore(state["regression"], self.config.device)
 
     def close(self) -> None:
         """Do nothing: no arms are held."""
@@ -242,13 +225,12 @@ class Student:
                 rate = config.learning_rate_left(1 - share_done)
                 memory = None
                 for segment in zip(*(part[:, chosen].split(config.segment) for part in advice), strict=True):
-                    seen, best, weight, hidden = (part.to(config.device) for part in segment)
+                    seen, best, weight = (part.to(config.device) for part in segment)
                     features, memory = network.features(seen.float(), memory)
                     memory = None if memory is None else memory.detach()
                     error = (network.layers(features)[..., 0] - best) * config.residual_limit
                     losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
-                    observed = huber_loss(network.estimates(features), hidden, delta=_FAR)
-                    self._regression.step(_SCALE * (weight * losses).mean() + config.observing * observed, rate)
+                    self._regression.step(_SCALE * (weight * losses).mean(), rate)
                     errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
         mean = float(np.mean(errors))

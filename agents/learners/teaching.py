@@ -16,9 +16,10 @@ The slope q is that of the student's own cost: what the best later torques are d
 which `tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of
 its torques lowers its expected cost, and fitting u to y with weights w is a Gauss-Newton step towards there.
 
-Of a shift every move is advised on by itself, in the state that it begins in. Where the motor sticks, torque changes
-nothing. A price keeps it from being pushed to and fro: per sample, p_0 tau^2 of the whole torque over its limit while
-the motor rests, and p u^2 of the residual alone while it moves.
+Of a shift every move is advised on by itself, in the state that it begins in. A price keeps a motor from being pushed
+to and fro: per sample, p_0 tau^2 of the whole torque over its limit while the motor is at rest, where torque changes
+nothing, and p u^2 of the residual alone while it turns. A motor that gives before it slips turns on its spring where
+another one would stick: it is charged p.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -33,7 +34,6 @@ import numpy as np
 import torch
 
 from agents.residual.controller import ResidualSettings
-from agents.residual.knowledge import ENTRIES
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env import observation as layout
@@ -57,7 +57,6 @@ class Advice(NamedTuple):
     inputs: torch.Tensor  # shape (holds of all moves, arms, inputs), half precision
     labels: torch.Tensor  # best residuals, shape (holds of all moves, arms)
     weights: torch.Tensor  # of mean 1, shape (holds, arms)
-    unseen: torch.Tensor  # what its filter is wrong by, shape (holds, arms, 2), see `unseen`; 0 without a filter
 
 
 class Recorder:
@@ -103,7 +102,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     if not len(stayed):  # and so the episodes broke off
         nothing = torch.zeros(moves * -(-EPISODE_STEPS // hold), 0)
         inputs = torch.zeros(*nothing.shape, recorder.inputs[0].shape[1]).half()
-        return Advice(inputs, nothing, nothing, torch.zeros(*nothing.shape, 2))
+        return Advice(inputs, nothing, nothing)
     changes, curvatures = best_changes(recording, price, recorder.pause)
 
     def sums(samples: Floats) -> Floats:
@@ -116,30 +115,15 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     penalised, prices = _penalised(recording, by_move * limit, hold)
     slopes, weights = sums(changes * curvatures - prices * penalised), sums(curvatures + prices)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
-    believes = settings.knowledge == "belief"
-    errors = unseen(recording, seen, hold) if believes else np.zeros((*seen.shape[:2], 2))
-    arrays = best, weights / weights.mean(), errors[:, stayed]
-    labels, weights, hidden = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
-    return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights, hidden)
+    arrays = best, weights / weights.mean()
+    labels, weights = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
+    return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights)
 
 
 def states_before(recording: Recording, hold: int) -> Floats:
     """States as each hold begins, shape (holds of all moves, arms, 4); zero at the very beginning."""
     states = np.concatenate([np.zeros((1, recording.num_arms, 4)), recording.in_turn(recording.state)])
     return states[np.arange(len(states) - 1).reshape(recording.num_moves, -1)[:, ::hold].ravel()]
-
-
-def unseen(recording: Recording, inputs: Singles, hold: int) -> Floats:
-    """What the filter's torsion and its rate are wrong by as each hold begins, over their doubts' scales.
-
-    For inputs of shape (holds of all moves, arms, inputs), which end with the belief, it has shape (..., 2).
-    """
-    entries = {entry.name: (k - len(ENTRIES["belief"]), entry.scale) for k, entry in enumerate(ENTRIES["belief"])}
-    errors = states_before(recording, hold)[..., 2:]
-    for k, name in enumerate(("torsion", "torsion_speed")):
-        (at, scale), (_, doubt) = entries[f"believed_{name}"], entries[f"doubt_of_{name}"]
-        errors[..., k] = (errors[..., k] - scale * inputs[..., at]) / doubt
-    return errors
 
 
 def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:

@@ -235,8 +235,11 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
 
 
 def _judge(trial: Trial, costs: list[float], news: News) -> None:
-    """Add the cost of a validation to those of a trial, and end the trial if it is worse than most."""
-    if news.cost is None:
+    """Add the cost of a validation to those of a trial, and end the trial if it is worse than most.
+
+    That of the untrained policy does not count: all trials would have it.
+    """
+    if news.cost is None or news.steps == 0:
         return
     costs.append(news.cost)
     trial.report(news.cost, len(costs))

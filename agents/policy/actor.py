@@ -142,8 +142,9 @@ class Regression:
         """State that determines the next step."""
         return {name: getattr(self, name).state_dict() for name in _PARTS}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore a state into a new regression of the same network."""
+    def restore(self, state: dict[str, Any], device: str = "cpu") -> None:
+        """Restore a state into a new regression of the same network, which goes on on this device."""
+        self.network.to(device)  # before Adam's moments, which are put where the weights are
         for name in _PARTS:
             getattr(self, name).load_state_dict(state[name])
 

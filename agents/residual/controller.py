@@ -103,7 +103,7 @@ class ResidualController:
     """
 
     remembers = True
-    """The policy's memory lasts from move to move; the base, and what is believed, begin anew if the base's does not."""
+    """The policy's memory lasts from move to move; base and belief begin anew with each if the base's does not last."""
 
     def __init__(self, base: Controller, policy: Controller, settings: ResidualSettings) -> None:
         self.informed = InformedBase(base, settings.knowledge)

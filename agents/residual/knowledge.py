@@ -64,7 +64,7 @@ _DOUBTS = (
     Entry("doubt_of_torsion_speed", "rad/s", 0.03, 0.3),
     *(entry._replace(name=entry.name.replace("believed", "doubt_of")) for entry in _CONSTANTS),
 )
-_IDENTIFIED = LOGS.start  # of z: from here up to d, all constants but those of the ripple
+_IDENTIFIED = LOGS.start  # of z: from here on the constants of `_CONSTANTS`, in order
 _DOUBTED = 2  # of z: from here up to d
 _SURPRISE = Entry("surprise", "-", 1.0, 8.0)
 RECENT = 4

@@ -36,7 +36,7 @@ from baselines.tools.options import note_options
 from baselines.tools.provenance import software
 from baselines.tools.schema import in_a_line, loads
 
-VERSION = 8
+VERSION = 9
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
 CHECKPOINT, CONFIG, COMMAND = Path("checkpoint.pkl"), Path("config.json"), Path("command.json")
 """Within the folder of a run; that of several has the last, the options of their command."""

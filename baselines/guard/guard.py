@@ -4,7 +4,8 @@
     level 1    base       the residual is no number, out of its range, or at its limit for too long
     level 2    servo      the observer's innovations say that the arm is none it knows, or it begins anew; a sample is
                           lost, or no motor can have made it; or the base's torque is no number
-    level 3    passive    the encoder is not believed any more: no torque; friction stops the motor
+    level 3    passive    the encoder is not believed any more, or neither base nor servo gives a number: no torque;
+                          friction stops the motor
 
     tau = (1 - p) clip((1 - s) (base + r residual) + s servo, -limit, limit)
 
@@ -13,7 +14,7 @@ changes by no more than the slew limit in a sample. It goes down at once, and ba
 which doubles with every fall; not from level 3, which lasts for the rest of the move: no loop that is closed around an
 encoder that lies is safe. Where there is no servo, the base keeps the motor: level 2 is then without residual alone.
 
-While a single sample is not plausible, the last command is held: a speed by differencing is then no speed.
+While a single sample is not plausible, or its torque is no number, the last command is held.
 """
 
 from __future__ import annotations
@@ -35,8 +36,7 @@ PASSIVE = SERVO + 1  # p, weight of no torque
 RESIDUAL = PASSIVE + 1  # last one that was a number within its range [N m]
 SATURATED = RESIDUAL + 1  # samples for which it has been at its limit
 SURPRISE = SATURATED + 1  # w at the last sample
-COMMAND = SURPRISE + 1  # last one [N m]
-CHANGED = COMMAND + 1  # 1 where the command is not that of base and residual, else 0
+CHANGED = SURPRISE + 1  # 1 where the command is not that of base and residual, else 0
 ASKS = CHANGED + 1  # 1 where the next sample needs the servo's torque, else 0; it begins where the last one did not
 GUARD_SIZE = ASKS + 1
 
@@ -138,7 +138,6 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
     last = now.last_command if finite(now.last_command) else 0.0
     if begins:
         _begin(now, memory)
-        last = 0.0
         seen = Seen(True, True, True)
     else:
         seen = watch_encoder(design, now.motor_angle, last, memory)
@@ -147,7 +146,8 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
     level = max(of_residual, of_observer)
     if not seen.plausible or not finite(now.base):
         level = max(level, SERVO_LEVEL)
-    if not seen.believed:
+    nothing = memory[ASKS] != 0.0 and not finite(now.base) and not finite(now.servo)
+    if nothing or not seen.believed:
         level = PASSIVE_LEVEL
     _decide(design, level, memory)
     _fade(design, finite(now.servo), memory)

@@ -77,10 +77,15 @@ def _arm_at_angles(name: str) -> list[System]:
 
 
 def believing(controller: Any, arm: ArmParams) -> Any:
-    """A controller that identifies its arm, as it is once it has found the constants and the delay of this one."""
-    mine = controller.params
+    """A controller that identifies its arm, as it is once it has found the constants and the delay of this one.
+
+    An encoder tells constants of motion over torque alone: it finds them over 1 + k, k the torque constant's error.
+    """
+    mine, told = controller.params, 1 + arm.torque_constant_error
     found = {name: getattr(arm, name) for name in (*IDENTIFIED, *_IDENTIFIED_DRIVE)}
-    found["arm_inertia_swing"] += 4 * mine.link_length**2 * (arm.payload_mass - mine.payload_mass)
+    found["arm_inertia_swing"] += 4 * mine.link_length**2 * arm.payload_mass
+    found |= {name: found[name] / told for name in IDENTIFIED}
+    found["arm_inertia_swing"] -= 4 * mine.link_length**2 * mine.payload_mass
     return type(controller)(controller.gains, params=replace(mine, **found))
 
 

@@ -24,7 +24,7 @@ fall short is noted as a constraint: the estimator ranks them by it, behind all 
 `MAX_REFUSED` of them. The untuned gains have to pass.
 
 The budget counts simulated control periods of single arms, those of pruned, failed and interrupted trials too. It is
-never exceeded.
+never exceeded, but for the batch of arms that an interruption breaks off, which is simulated again.
 
 [1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
 """

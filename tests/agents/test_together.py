@@ -109,7 +109,7 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         assert memory.informed is not None
         base, reading = memory.informed.action[0, 0], memory.informed.reading
         now = NOTHING if reading is None else sample_of(reading, 0)
-        residual = correct(kernel.design, seen[0], base, now, memory.informed.belief, *[begins] * 2, kernel.memory)
+        residual = correct(kernel.design, seen[0], base, now, memory.informed.belief, begins, begins, kernel.memory)
         assert residual == memory.residual[0, 0]
         assert combined(base, residual, kernel.design.limit) == action[0, 0]
         residuals.append(residual)

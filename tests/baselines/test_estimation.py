@@ -156,13 +156,9 @@ def test_gains_are_those_of_a_filter_that_also_keeps_the_state_before():
 
 def test_preview_measures_the_zero_g_output_once_an_episode():
     """A further move of a shift begins while the arm still rings."""
-    env, memory = BeltArmVectorEnv(4, randomization="train", moves=2, sensors="accelerometer"), None
-    controller, seen, outputs = WITH_ACCELEROMETER["preview"](), env.reset(seed=SEED)[0], []
-    for _ in range(EPISODE_STEPS + 2):
-        action, memory = controller.predict(seen, memory, np.full(4, memory is None))
-        seen = env.step(action)[0]
-        outputs.append(memory.rows[:, -3:-1])
-    assert np.array_equal(outputs[0], outputs[-1]) and np.abs(outputs[0]).max() < BIAS + 0.2
+    make, env = WITH_ACCELEROMETER["preview"], batch(4, moves=2, sensors="accelerometer", randomization="train")
+    first, last = (memory_after(make(), env, steps, seed=SEED).rows[:, -3:-1] for steps in (1, EPISODE_STEPS + 2))
+    assert np.array_equal(first, last) and np.abs(first).max() < BIAS + 0.2
 
 
 def test_kinematic_error_and_zero_g_output_are_found():

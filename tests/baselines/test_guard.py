@@ -30,14 +30,14 @@ ARMS: dict[str, Any] = {"randomization": TRAIN_RANGES, "seed": 4_900_100}
 
 
 class Bench:
-    def __init__(self) -> None:
-        self.memory, self.command, self.begins = np.full(guard.GUARD_SIZE, np.nan), 0.0, True
+    def __init__(self, servo: float = -0.01) -> None:
+        self.memory, self.command, self.begins, self.servo = np.full(guard.GUARD_SIZE, np.nan), 0.0, True, servo
 
     def step(
         self, base: float = 0.01, residual: float = 0.02, angle: float = 10.0, surprise: float = 0.9
     ) -> tuple[float, float]:
         """Command [N m] and level after a sample."""
-        servo = -0.01 if not self.begins and self.memory[guard.ASKS] != 0 else math.nan
+        servo = self.servo if not self.begins and self.memory[guard.ASKS] != 0 else math.nan
         now = guard.GuardInputs(base, residual, servo, angle, surprise, self.command)
         self.command = guard.guarded_torque(DESIGN, now, self.begins, self.memory)
         self.begins = False
@@ -51,12 +51,12 @@ class TestKernel:
     @examples(60)
     @given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, ANY), min_size=1, max_size=40))
     def test_command_is_a_number_within_its_limits_whatever_comes_in(self, rows: list[tuple[float, ...]]):
-        memory, last = np.full(guard.GUARD_SIZE, np.nan), 0.0
+        memory = np.full(guard.GUARD_SIZE, np.nan)
         for k, row in enumerate(rows):
             command = guard.guarded_torque(DESIGN, guard.GuardInputs(*row), k == 0, memory)
             assert abs(command) <= LIMIT
-            last = row[5] if k > 0 and abs(row[5]) <= LIMIT else 0.0
-            if k == 0 or abs(row[5]) <= LIMIT:
+            last = row[5] if math.isfinite(row[5]) else 0.0
+            if abs(last) <= LIMIT:
                 assert abs(command - last) <= DESIGN.slew * (1 + 1e-12)
 
     def test_nothing_changes_while_all_is_well_and_a_jump_is_slewed(self):
@@ -107,6 +107,10 @@ class TestKernel:
         bench.steps(10)
         assert bench.step(base=math.nan) == (0.03, guard.SERVO_LEVEL), "the last command is held"
         assert bench.step(base=math.nan)[0] == -0.01, "the servo's at once"
+        bench = Bench(servo=math.nan)
+        bench.steps(10)
+        assert bench.step(base=math.nan) == (0.03, guard.SERVO_LEVEL)
+        assert bench.steps(20, base=math.nan) == (0.0, guard.PASSIVE_LEVEL), "there is none that gives a number"
 
     def test_lost_sample_holds_the_command(self):
         bench, angle = Bench(), 10.0

@@ -74,7 +74,6 @@ VARIANTS = (
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
-    Variant("advice", "memory", "GRU of 96, fitted to advice alone", ("--observing", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
 )
 
