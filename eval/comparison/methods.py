@@ -116,7 +116,7 @@ class Method:
 
     def with_guard(self) -> Method:
         """Make the same method with the guard between its controllers and the motor; for classical and learned ones."""
-        identity = self.identity and _hash([self.identity, "guard"])
+        identity = self.identity and _hash([self.identity, "guard", _all_gains()])  # the servo's among them
         return replace(self, name=f"{self.name}+guard", identity=identity, guarded=True)
 
 
@@ -147,7 +147,7 @@ def _hash(content: object) -> str:
 
 def privileged_method() -> Method:
     """Preview LQG with true constants and true state: the oracle."""
-    return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
+    return Method(PRIVILEGED, "privileged", (PRIVILEGED,), _hash(_all_gains()))  # it has gains of `adaptive`
 
 
 def added_method(spec: str, results: Path | None = None, time_limit: float = custom.TIME_LIMIT) -> Method:

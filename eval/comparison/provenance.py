@@ -2,7 +2,8 @@
 
 The digest says whether the same code would measure the same data today. It is of Python's syntax trees, without
 docstrings and comments, of all modules that the measurement imports, of the module's own functions only those that it
-uses, and of tuned gains, shipped policies and observers. So words, tables and pictures change no digest.
+uses, and of other files that they read: tuned gains, shipped policies and observers, the engine's C, scenarios. So
+words, tables and pictures change no digest. Versions of packages are those of constraints.txt, and not in it.
 """
 
 import ast
@@ -22,11 +23,16 @@ from beltarm_env import __version__
 ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
 _FILES = {
+    "beltarm_env/engine/c/*.[ch]": "beltarm_env",
+    "beltarm_env/mujoco/*.xml": "beltarm_env.mujoco",
     "baselines/gains.json": "baselines",
+    "baselines/optimal/robust.json": "baselines",
     "agents/policies*/**/*.safetensors": "agents.policy",
     "agents/observer/shipped/*.safetensors": "agents.observer",
+    "eval/comparison/scenarios.json": "eval.comparison.sets",
+    "eval/exports/templates/*.[ch].j2": "eval.exports",
 }
-"""Files that a measurement depends on if it reaches a package."""
+"""Files that a measurement depends on if it reaches a package, or a module of it."""
 _STARTS = ("measure", "Options")
 """Names of a module from which all that measures is reached."""
 
@@ -70,7 +76,8 @@ def inputs_digest(module: str, starts: Iterable[str] = _STARTS) -> str:
     for name in sorted(reached):
         total.update(f"{name}\0{_digest(reached[name])}\0".encode())
     for pattern, package in _FILES.items():
-        for path in sorted(ROOT.glob(pattern)) if package in reached else ():
+        reads = any(name == package or name.startswith(f"{package}.") for name in reached)
+        for path in sorted(ROOT.glob(pattern)) if reads else ():
             total.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return total.hexdigest()
 

@@ -3,6 +3,7 @@
 import importlib
 import platform
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -36,6 +37,11 @@ class Page:
     measures: str = ""  # module that measures, where it is another
     data: str = DATA
     left_out: tuple[str, ...] = ()  # files of its folder that are not committed
+
+    @property
+    def command(self) -> list[str]:
+        """Command that measures it, where pages are measured."""
+        return ["python", *self.words, "--out", (MEASURED / self.name).relative_to(ROOT).as_posix()]
 
     @property
     def committed(self) -> Path:
@@ -89,7 +95,8 @@ def state(page: Page, folder: Path) -> State:
     if about["python"].rpartition(".")[0] != here.rpartition(".")[0]:
         return State("not comparable", *measured)
     module = importlib.import_module(page.module)
-    if hasattr(module, "Options") and about["options"] != chosen_options(module.Options()):
+    options = hasattr(module, "Options") and about["options"] != chosen_options(module.Options())
+    if options or (page.measures and shlex.split(about["command"]) != page.command):
         return State("other options", *measured)
     same = about["inputs"] == inputs_digest(page.measures or page.module, page.starts)
     return State("fresh" if same and not about["commit"].endswith("-dirty") else "older inputs", *measured)
@@ -147,8 +154,7 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
             yield page.name, "measured before"
             continue
         yield page.name, "is measured"
-        command = [sys.executable, *page.words, "--out", str(folder.relative_to(ROOT))]
-        if subprocess.run(command, cwd=ROOT, check=False).returncode:
+        if subprocess.run([sys.executable, *page.command[1:]], cwd=ROOT, check=False).returncode:
             raise ValueError(f"{page.name} could not be measured; the same command goes on from there")
     for page in chosen:
         for path in sorted((MEASURED / page.name).iterdir()):

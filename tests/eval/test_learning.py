@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from commands import mistake
+from refusals import refused
 from studies import hurry, try_study
 
 from agents.learners.registry import ALGORITHMS
@@ -59,12 +60,12 @@ def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict
     run = Run(DEFAULT, 0, 5_000, tmp_path / "runs", quick=True)
     kept = json.loads((record := run.folder / "ablation.json").read_text())
     for other, arms in ((Run(DEFAULT, 0, 50_000, run.runs, quick=True), 4), (run, 5)):
-        with pytest.raises(ValueError, match="--runs"):
-            other.finished(arms)
+        refused(ValueError, ("--runs",), lambda other=other, arms=arms: other.finished(arms))
     for wrong, complaint in (({**kept, "digest": "0" * 64}, "--runs"), ([], "damaged"), ({}, "damaged")):
         record.write_text(json.dumps(wrong))
-        with pytest.raises(ValueError, match=complaint):
-            run.finished(4)
+        refused(ValueError, (complaint,), lambda: run.finished(4))
+    run.folder.with_suffix(".code").write_text("other")
+    refused(ValueError, ("begun by other code", "--runs"), lambda: run.finish(4))
     with pytest.raises(ValueError, match=r"bad, seed 0: .*3.0"):
         Run(Variant("bad", "limit", "bad", ("--residual-limit", "3")), 0, 5_000, tmp_path, quick=True).finish(4)
 

@@ -85,13 +85,15 @@ def tables(data):
         ("SCALE * x", "x", False),
         ("from beltarm_env.timing", "from beltarm_env.other", False),
         ("PERIOD = 1.5e-3", "PERIOD = 1e-3", False),  # of the module that is imported
+        ("1.0", "2.0", False),  # in C
     ],
 )
 def test_digest_of_what_measures(before: str, after: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     digests = set()
     for folder, new in (("own", before), ("other", after)):
-        for path, text in (("eval/study.py", MODULE), ("beltarm_env/timing.py", IMPORTED)):
-            (tmp_path / folder / path).parent.mkdir(parents=True)
+        c = "beltarm_env/engine/c/real.h", "#define ONE 1.0"
+        for path, text in (("eval/study.py", MODULE), ("beltarm_env/timing.py", IMPORTED), c):
+            (tmp_path / folder / path).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / folder / path).write_text(text.replace(before, new))
         monkeypatch.setattr(provenance, "ROOT", tmp_path / folder)
         digests.add(provenance.inputs_digest("eval.study"))
