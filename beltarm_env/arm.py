@@ -124,7 +124,7 @@ class ArmParams:
     kinematic_error_phase: float = 0.0  # phi_e    [rad]
     belt_stiffening: float = 0.0  # b        [-]           softer by b at small torsion, stiffer by b at large
     belt_stiffening_torsion: float = 0.01  # theta_0  [rad]         at which the belt has its mean stiffness K_s
-    friction_drift: float = 0.0  # [-]           change of all friction from the episode's start to its end
+    friction_drift: float = 0.0  # [-]           change of all friction from a move's start to its end
     presliding_deflection: float = 0.0  # [rad]         of the motor, by which it gives before it slips, at tau_c
 
     def __post_init__(self) -> None:

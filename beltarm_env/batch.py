@@ -57,6 +57,10 @@ class Engine(Protocol):
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
         ...
 
+    def torques(self) -> Floats:
+        """Torques of the motors now [N m], shape (num_arms,)."""
+        ...
+
 
 def new_renderer(model: str, render_mode: Literal["human", "rgb_array"]) -> Renderer | MuJoCoRenderer:
     """Make what draws an arm of this model."""
@@ -281,6 +285,8 @@ class ArmBatch:
     @property
     def motor_torques(self) -> Floats:
         """Torques of the motors now [N m], shape (num_arms,): what the drives have made of the commands."""
+        if self.engine is not None:
+            return self.engine.torques()
         rows = at.rows(self.blocks, at.DRIVEN, 1, self.num_arms)[:, 0]
         commanded = at.rows(self.blocks, at.ACTION, 1, self.num_arms)[:, 0] * self.table[:, COLUMN.torque_limit]
         return np.where(rows > 0, at.rows(self.blocks, at.TORQUE, 1, self.num_arms)[:, 0], commanded)

@@ -151,7 +151,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         Args:
             sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion;
                 "accelerometer" adds the tip's acceleration as a MEMS part measures it (`task.accelerometer`).
-            profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
+            profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic". It is not observed, and
+                controllers of `baselines` that rebuild the reference take it for a trapezoid.
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
                 full arm moved and drawn by MuJoCo (extra `mujoco`), which cannot express all effects of a drive and
                 refuses those of "train".
@@ -338,8 +339,11 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
 
         Raises:
             ValueError: If it is not a whole number from 1 to 400, or MuJoCo moves the arm.
+            ResetNeeded: Before the first reset.
         """
         self._batch.set_substeps(steps)
+        if not self._ready:
+            raise ResetNeeded("reset() chooses the number of steps: call it before set_integration_steps()")
 
     def reference(self, time: float) -> Reference:
         """Reference joint angle [rad], speed [rad/s] and acceleration [rad/s^2], `time` s after the move's start."""

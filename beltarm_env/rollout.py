@@ -15,6 +15,8 @@ from gymnasium.vector import AutoresetMode
 
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.observation import ENTRIES, index
+from beltarm_env.physics.kinematics import HIGHEST
 from beltarm_env.recording import Recording
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.timing import EPISODE_STEPS
@@ -67,10 +69,14 @@ def check_data_sheet(params: ArmParams | None, table: Floats, name: str) -> None
         name: Of the controller.
 
     Raises:
-        ValueError: If an arm has another one.
+        ValueError: If an arm has another one, or its motor turns beyond what observations show.
     """
     if params is None:
         return
+    seen = ENTRIES["encoder"][index("motor_angle")].bound
+    if params.gear_ratio * HIGHEST > seen:
+        most = f"observations show {seen:g} rad of the motor, enough for a gear ratio of {int(seen / HIGHEST)}"
+        raise ValueError(f"{name} has gear_ratio {params.gear_ratio!r}, and would not see where the arm is: {most}")
     for field in DATA_SHEET:
         column, expected = table[:, FIELDS.index(field)], getattr(params, field)
         others = np.flatnonzero(column != expected)
@@ -138,12 +144,15 @@ def record(
     `seed` may also be one number per arm.
 
     Raises:
-        ValueError: As `rollout`, and if the environment's episodes are shorter than 1200 steps for each move.
+        ValueError: As `rollout`, and if the environment's episodes are shorter than 1200 steps for each move, or its
+            arms begin anew within the step in which they end.
     """
     num_arms, num_moves = env.num_envs, env.num_moves
     steps = EPISODE_STEPS * num_moves
     if env.max_episode_steps != steps:
         raise ValueError(f"a rollout has {steps} steps, got max_episode_steps={env.max_episode_steps}: leave it out")
+    if env.autoreset_mode is AutoresetMode.SAME_STEP:
+        raise ValueError("a rollout would record the next episodes of arms: make it with autoreset_mode='Disabled'")
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     check_data_sheet(nominal_params(controller), env.params_table, type(controller).__name__)
     made = _Made.empty(num_moves, num_arms)

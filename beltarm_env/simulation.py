@@ -71,11 +71,14 @@ class ArmSimulation:
                 friction as it is at the beginning.
 
         Raises:
-            ValueError: If these are more arms than there is room for, which is as many as at the beginning.
+            ValueError: If these are more arms than there is room for, which is as many as at the beginning, or `steps`
+                has another shape.
         """
         most = len(self.room.blocks) * LANES
         if len(table) > most:
             raise ValueError(f"there is room for {most} arms, got {len(table)}")
+        if steps is not None:
+            _require(len(table), steps=steps)
         self._load(table, steps)
 
     def _load(self, table: Floats, steps: Floats | None = None) -> None:
@@ -85,7 +88,15 @@ class ArmSimulation:
         load_arms(self.room.blocks, table, np.empty(0) if steps is None else steps, self.model)
 
     def at_rest(self, motor_angles: Floats) -> Floats:
-        """Return the states of arms at rest at motor angles [rad] of shape (n,), without torque in motor or belt."""
+        """Return the states of arms at rest at motor angles [rad], without torque in motor or belt.
+
+        Args:
+            motor_angles: Shape (n,).
+
+        Raises:
+            ValueError: If there are not as many as arms.
+        """
+        _require(len(self.limits), motor_angles=motor_angles)
         states = np.zeros((len(motor_angles), self.size))
         rest_arms(self.room.blocks, np.ascontiguousarray(motor_angles, np.float64), states)
         return states
@@ -100,12 +111,7 @@ class ArmSimulation:
         Raises:
             ValueError: If there are not as many as arms.
         """
-        if states.shape != (len(self.limits), self.size) or torques.shape != self.limits.shape:
-            count, size = len(self.limits), self.size
-            raise ValueError(
-                f"states and torques must have shapes ({count}, {size}) and ({count},), "
-                f"got {states.shape}, {torques.shape}"
-            )
+        _require(len(self.limits), self.size, states=states, torques=torques)
         states, torques = np.ascontiguousarray(states, np.float64), np.ascontiguousarray(torques, np.float64)
         result = np.empty_like(states)
         advance_arms(self.room, states, torques, self.limits, self.model, result)
@@ -118,8 +124,20 @@ class ArmSimulation:
             states: Shape (n, size).
             torques: Commands [N m], shape (n,).
             samples: How far ahead, in control periods, shape (n,).
+
+        Raises:
+            ValueError: If there are not as many as arms.
         """
+        _require(len(self.limits), self.size, states=states, torques=torques, samples=samples)
         states, torques = np.ascontiguousarray(states, np.float64), np.ascontiguousarray(torques, np.float64)
         result = np.empty((len(states), X))
         look_ahead_arms(self.room, states, torques, self.limits, np.ascontiguousarray(samples), self.model, result)
         return result
+
+
+def _require(count: int, size: int = 0, **arrays: Floats) -> None:
+    """Refuse, by ValueError, arrays not of shape (count,), states not of (count, size): kernels do not look."""
+    for name, array in arrays.items():
+        shape = (count, size) if name == "states" else (count,)
+        if np.shape(array) != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {np.shape(array)}")

@@ -22,7 +22,7 @@ from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.info import TERMS, TOTALS, Ended, masked, of_moves
 from beltarm_env.kernels.layout import IDEAL
-from beltarm_env.kernels.step import step_arms
+from beltarm_env.kernels.step import HUGE, step_arms
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -284,10 +284,12 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         array = np.asarray(actions)
         if array.shape != (self._num_envs, 1) or array.dtype.kind not in "fiu":
             raise ValueError(f"actions must be numbers of shape ({self.num_envs}, 1), got {array.dtype} {array.shape}")
-        if np.count_nonzero(np.isfinite(array)) != self._num_envs:  # `all` takes twice as long
-            arm = int(np.argmin(np.isfinite(array[:, 0])))
-            raise ValueError(f"actions must be finite, got {array[arm, 0]} for arm {arm}")
-        return array[:, 0].astype(np.float64)
+        values = array[:, 0].astype(np.float64)
+        allowed = np.abs(values) < HUGE
+        if np.count_nonzero(allowed) != self._num_envs:  # `all` takes twice as long
+            arm = int(np.argmin(allowed))
+            raise ValueError(f"actions must be finite, and below {HUGE:g}, got {values[arm]} for arm {arm}")
+        return values
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of shape (height, width, 3) per arm, or None without a render mode."""

@@ -56,7 +56,8 @@ class Actuator:
         whole = math.floor(late)
         self._split = (late - whole) * CONTROL_PERIOD
         self._commands = [0.0] * (whole + 2)  # of m + 1 samples ago to this one
-        self._torque = 0.0  # tau [N m]; not used without a lag
+        self.torque = 0.0
+        """Torque of the motor now, tau [N m]."""
 
     def means(self, command: float, longest: float) -> Iterator[tuple[float, int, float]]:
         """Yield the steps of a sample with a new command [N m]: length [s], how many, and their mean torque [N m].
@@ -72,11 +73,12 @@ class Actuator:
             count = max(math.ceil(duration / longest - 1e-9), 1)
             target = self._gain * demand
             if self._lag == 0:
+                self.torque = target
                 yield duration / count, count, target
                 continue
             dt = duration / count
             gone = -math.expm1(-dt / self._lag)  # share of the difference that a step takes away
             for _ in range(count):
-                behind = self._torque - target
-                self._torque = target + behind * (1 - gone)
+                behind = self.torque - target
+                self.torque = target + behind * (1 - gone)
                 yield dt, 1, target + behind * self._lag / dt * gone

@@ -56,6 +56,11 @@ class MuJoCoArm:
         arm._actuator = self._actuator
         return arm
 
+    @property
+    def torque(self) -> float:
+        """Torque of the motor now [N m]."""
+        return self._actuator.torque
+
     def advance(self, command: float) -> Floats:
         """Let one control period pass after a new command [N m]; return x at its end.
 
@@ -100,6 +105,10 @@ class MuJoCoArms:
             if arm not in self._arms or params != self._arms[arm].params:
                 self._arms[arm] = MuJoCoArm(params)
             self._arms[arm].begin(states[k])
+
+    def torques(self) -> Floats:
+        """Torques of the motors now [N m], shape (num_arms,)."""
+        return np.array([self._arms[arm].torque for arm in range(self._num_arms)])
 
     def advance(self, actions: Floats) -> Floats:
         """Give torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""

@@ -37,7 +37,7 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
     breakaway torque. Solvers of smooth equations do not find a motor that stops; the environment locates that instant.
 
     Of a drive as it is built, the torque is that of the motor: current loop and latency stand before it, and friction
-    is as at the start of an episode.
+    is as at the start of an episode. A motor that gives before it slips has a deflection beside x, see `ArmSimulation`.
 
     Args:
         x: State [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (4,).
@@ -49,9 +49,14 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
         [omega_a, domega_a/dt, omega_s, domega_s/dt] (rad/s, rad/s^2), shape (4,).
 
     Raises:
-        ValueError: If x has another shape, or the model is unknown.
+        ValueError: If x has another shape, the model is unknown, or the motor gives before it slips.
     """
     equations = model_of(model)
+    if params.presliding_deflection > 0:
+        given = f"presliding_deflection={params.presliding_deflection:g}"
+        raise ValueError(
+            f"x does not tell the slope with {given}: set it to 0, or take beltarm_env.simulation.ArmSimulation"
+        )
     state = np.ascontiguousarray(x, np.float64)
     if state.shape != (4,):
         raise ValueError(f"x must have shape (4,), got {state.shape}")

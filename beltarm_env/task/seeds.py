@@ -22,9 +22,16 @@ SEED_SPACING = 40_000
 MAX_TRAINING_SEED = 4_000_000 // SEED_SPACING - 1
 
 
+def _part(number: int, most: int, first: int, size: int) -> SeedRange:
+    """Part of a range by its number; raises ValueError for one beyond it, where another range begins."""
+    if not 0 <= number <= most:
+        raise ValueError(f"the number of a range of seeds must be 0 to {most}, got {number}")
+    return SeedRange(first + size * number, size)
+
+
 def training_arms(seed: int) -> SeedRange:
     """Return the seeds of the arms of one training seed, 0 to `MAX_TRAINING_SEED`."""
-    return SeedRange(SEED_SPACING * seed, SEED_SPACING)
+    return _part(seed, MAX_TRAINING_SEED, 0, SEED_SPACING)
 
 
 TRAINING = SeedRange(0, SEED_SPACING * (MAX_TRAINING_SEED + 1))
@@ -81,18 +88,17 @@ FURTHER = SeedRange(UNUSED.first + UNUSED.size, (MAX_FRESH_SEED + 1) * 10**8)
 
 def dataset_arms(seed: int) -> SeedRange:
     """Return the seeds of the episodes of one dataset, 0 to `MAX_DATASET_SEED`."""
-    return SeedRange(DATASETS.first + DATASET_SPACING * seed, DATASET_SPACING)
+    return _part(seed, MAX_DATASET_SEED, DATASETS.first, DATASET_SPACING)
 
 
 def fresh_arms(number: int) -> SeedRange:
     """Return the seeds of one fresh set of scenarios, 0 to `MAX_FRESH_SEED`."""
-    return SeedRange(FRESH.first + DEVELOPMENT.size * number, DEVELOPMENT.size)
+    return _part(number, MAX_FRESH_SEED, FRESH.first, DEVELOPMENT.size)
 
 
 def further_arms(number: int) -> SeedRange:
     """Return the seeds of the further scenarios of one fresh set, 0 to `MAX_FRESH_SEED`."""
-    size = FURTHER.size // (MAX_FRESH_SEED + 1)
-    return SeedRange(FURTHER.first + size * number, size)
+    return _part(number, MAX_FRESH_SEED, FURTHER.first, FURTHER.size // (MAX_FRESH_SEED + 1))
 
 
 def arms_chosen_by(commit: str) -> SeedRange:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from beltarm_env.arm import COLUMN
+from beltarm_env.arm import COLUMN, bounds_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined
 
@@ -24,6 +24,7 @@ MOST_MOVES = 1000
 """Most moves of an episode."""
 LEAST_FRICTION, MOST_FRICTION = 0.8, 1.25
 """Level of friction that it does not leave, over that at the episode's start."""
+_MOST_DRIFT = bounds_of("friction_drift").high  # over a move: from a drift of -0.5 friction comes back over two of them
 _FRICTION = (COLUMN.motor_viscous_friction, COLUMN.coulomb_friction)
 
 
@@ -47,7 +48,7 @@ def next_drift(drawn: float, level: float) -> float:
     """Return the drift of friction over a move that begins at a level, from one that was drawn from its range."""
     size, there = abs(drawn), level * (1 + drawn)
     drift = -size if there > MOST_FRICTION else (size if there < LEAST_FRICTION else drawn)
-    return min(max(drift, LEAST_FRICTION / level - 1), MOST_FRICTION / level - 1)
+    return min(max(drift, LEAST_FRICTION / level - 1), MOST_FRICTION / level - 1, _MOST_DRIFT)
 
 
 @inlined

@@ -173,3 +173,7 @@ class LuGreArms:
         constants = self._stiffness, self._damping
         advance_bristles(self._blocks, self._bristles, *constants, actions, self._sample, self._steps)
         return at.rows(self._blocks, at.STATE, 4, self._num_arms)
+
+    def torques(self) -> Floats:
+        """Torques of the motors now [N m], shape (num_arms,)."""
+        return at.rows(self._blocks, at.TORQUE, 1, self._num_arms)[:, 0]

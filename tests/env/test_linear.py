@@ -9,7 +9,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest
+from driven_arms import GEAR, GIVES, MODELS, UPPER_ENDS, apply, arm_env, at_rest
 from refusals import refused
 from scipy.linalg import expm
 
@@ -164,6 +164,7 @@ class TestStateDerivative:
         words = ("model", "'lumped', 'lagrangian'", "'full'")
         refused(ValueError, ("x ", "(4,)"), lambda: state_derivative([0, 0, 0], 0, FRICTIONLESS))
         refused(ValueError, words, lambda: state_derivative(np.zeros(4), 0, FRICTIONLESS, "full"))
+        refused(ValueError, ("0.005",), lambda: state_derivative(np.zeros(4), 0, ArmParams(**GIVES)))
         refused(ValueError, words, lambda: state_space(DRIVEN, 0, "full"))
 
 

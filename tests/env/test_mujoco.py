@@ -15,6 +15,7 @@ from driven_arms import GEAR, GIVES, UPPER_ENDS, apply, arm_env, at_rest, full_a
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
+from refusals import refused
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import DRIVE_EFFECTS
@@ -131,19 +132,17 @@ class TestEnvironment:
             for arm in arms:
                 arm.step(np.array([0.15 * math.sin(2 * math.pi * k / 150)], np.float32))
             assert np.abs(arms[0].state - arms[1].state)[[0, 2]].max() < 5e-5
+            assert arms[0].motor_torque == pytest.approx(arms[1].motor_torque, abs=1e-6)
             assert k != EPISODE_STEPS - 1 or abs(arms[0].state[1]) > 20
         assert [(arm.move_number, arm.params.payload_mass) for arm in arms] == [(1, 0.0)] * 2
 
     def test_what_mujoco_cannot_express_is_refused(self):
-        with pytest.raises(ValueError, match=r"mujoco.*steps of its own"):
-            BeltArmEnv(model="mujoco").set_integration_steps(4)
+        refused(ValueError, ("mujoco", "of its own"), lambda: BeltArmEnv(model="mujoco").set_integration_steps(4))
         for name in set(DRIVE_EFFECTS) - {*EXPRESSIBLE}:
             value = (UPPER_ENDS | GIVES)[name]
-            message = rf'mujoco.* {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
-            with pytest.raises(ValueError, match=message):
-                BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})
-            with pytest.raises(ValueError, match=rf"{name}={value:g}"):
-                load_model(ArmParams(**{name: value}))
+            ranges, words = {name: (0.0, value)}, ("mujoco", f" {name}={value:g}: ", '"ideal"', 'model="lagrangian"')
+            refused(ValueError, words, lambda ranges=ranges: BeltArmEnv(model="mujoco", randomization=ranges))
+            refused(ValueError, words[1:2], lambda given={name: value}: load_model(ArmParams(**given)))
         env = BeltArmVectorEnv(2, model="mujoco")
         env.reset(seed=1)
         before = env.state

@@ -108,6 +108,8 @@ class TestFrame:
         # At 0.02 rad the tip is 0.6 m * sin(0.02 rad) = 12 mm above the reference tip; 194 pixels are 60 mm.
         assert rows[0] - rows[1] == pytest.approx(12.0 * 194 / 60, abs=1.0)
         assert rows[2] == pytest.approx(6, abs=1.5), "beyond 30 mm the tip stays at the edge"
+        picture = frame(0.0, 0.015, params=ArmParams(kinematic_error=0.005, kinematic_error_phase=math.pi / 2))
+        assert np.nonzero(near(picture[MAGNIFIER], VERMILION))[0].mean() == pytest.approx(rows[1], abs=0.5)
 
     def test_absurd_states_do_not_crash(self):
         for x in ([1e300, 0, 0, 0], [0, 0, 1e6, 0], [math.nan, 0, 0, 0], [0, 0, math.inf, 0], [0, 0, math.pi, 0]):

@@ -4,11 +4,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pytest
 from gymnasium.utils import seeding
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from refusals import refused
 
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.task import seeds
@@ -43,11 +43,10 @@ def test_seeds_share_no_arm_and_fill_their_range():
 
 def test_what_is_no_hash_or_seed_is_refused():
     for no_hash in ("", "abc1234", "g" * 40, "A" * 40):
-        with pytest.raises(ValueError, match="40 hexadecimal digits"):
-            seeds.arms_chosen_by(no_hash)
+        refused(ValueError, ("40 hexadecimal digits",), lambda no_hash=no_hash: seeds.arms_chosen_by(no_hash))
+    refused(ValueError, ("0 to 99", "100"), lambda: seeds.training_arms(100))
     for seed in (-1, 1.0, True, "3", None):
-        with pytest.raises(ValueError, match=r"seed .*, got"):
-            checked_seed(seed)
+        refused(ValueError, ("seed ", ", got"), lambda seed=seed: checked_seed(seed))
 
 
 class TestStreams:

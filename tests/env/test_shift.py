@@ -21,6 +21,7 @@ from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.ranges import PART_MASS, SHIFT_RANGES
+from beltarm_env.task.shift import next_drift
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 STILL = np.zeros(1, np.float32)
@@ -144,6 +145,7 @@ class TestDraws:
             found.append((env.params.coulomb_friction / 0.032, env.params.friction_drift))
         (level, drift), (_, last) = found
         assert level == pytest.approx(1.5) and 0.8 - 1e-12 <= level * (1 + drift) <= 1.25 + 1e-12 and last != drift
+        assert next_drift(0.1, 0.5) == 0.5
         env.reset(seed=0, options={"params": {"friction_drift": 0.0}})
         for k in range(EPISODE_STEPS + 1):
             assert env._batch.driven is (None if k < EPISODE_STEPS else True)
@@ -217,8 +219,7 @@ class TestRecordings:
             assert np.array_equal(second.metrics()[name], values[4:])
         assert np.array_equal(run.in_turn(run.state), np.concatenate([run.of_move(k).state for k in range(moves)]))
         assert (third.num_arms, third.num_moves, second.num_arms, second.num_moves) == (1, moves, 2, 1)
-        with pytest.raises(IndexError, match="there are"):
-            run.of_move(3)
+        refused(IndexError, ("there are",), lambda: run.of_move(3))
         pytest.importorskip("pandas")
         frame = run.to_pandas()
         assert frame.groupby(["move", "arm"]).size().tolist() == [EPISODE_STEPS] * 6
