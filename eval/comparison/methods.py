@@ -232,7 +232,8 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
 def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:
     """Single methods with names that tell them apart, where neither is given `paper`, `adaptive` and a shipped policy.
 
-    Controllers are classical ones by name, or a user's own; each policy is a method by itself.
+    Controllers are classical ones by name, or a user's own, with their file where several have one name; each policy is
+    a method by itself.
 
     Raises:
         ValueError: If a name is unknown, or a controller or policy cannot be loaded.
@@ -244,6 +245,11 @@ def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -
     for name in controllers:
         method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
         methods.append((method.name, method))
+    names = [name for name, _ in methods]
+    methods = [
+        (f"{name} ({given.rpartition(':')[0]})" if names.count(name) > 1 and ":" in given else name, method)
+        for given, (name, method) in zip(controllers, methods, strict=True)
+    ]
     for folder in policies:
         (method,) = learned_methods([folder])
         methods.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))
