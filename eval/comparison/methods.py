@@ -182,9 +182,7 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
             )
         spec, content = read_spec(folder)
         if spec.sensors != "encoder":
-            raise ValueError(
-                f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
-            )
+            raise ValueError(f"{folder} needs sensors={spec.sensors!r}; the comparison gives methods the encoder alone")
         usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
             usual = folder.resolve().parent.name
@@ -244,12 +242,9 @@ def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -
     methods = []
     for name in controllers:
         method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
-        methods.append((method.name, method))
-    names = [name for name, _ in methods]
-    methods = [
-        (f"{name} ({given.rpartition(':')[0]})" if names.count(name) > 1 and ":" in given else name, method)
-        for given, (name, method) in zip(controllers, methods, strict=True)
-    ]
+        file, _, shown = name.rpartition(":")
+        several = file and [each.rpartition(":")[2] for each in controllers].count(shown) > 1
+        methods.append((f"{shown} ({file})" if several else method.name, method))
     for folder in policies:
         (method,) = learned_methods([folder])
         methods.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))

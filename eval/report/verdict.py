@@ -26,9 +26,17 @@ Result = Literal["better", "worse", "open"]
 
 PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
+
+
+def is_tie(metric: str, result: Result, relative: float) -> bool:
+    """Tell whether a test shows a difference in cost that is a practical tie."""
+    return metric == "cost" and result != "open" and abs(relative) < PRACTICALLY_EQUAL
+
+
 _WORDS: dict[str, Any] = {
     "KINDS": {"learned": "learned method", "added": "added controller"},
     "practically_equal": PRACTICALLY_EQUAL,
+    "is_tie": is_tie,
     "least": LEAST_SCENARIOS,
     "whole": EPISODES,
     "all_moves": MOVES,
@@ -70,11 +78,6 @@ class PairwiseTest:
         """Difference over the classical controller's value."""
         return self.middle.difference.iqm / max(self.classical.estimates[self.metric].iqm, 1e-12)
 
-    @property
-    def tie(self) -> bool:
-        """Whether a difference in cost is shown, and is a practical tie."""
-        return is_tie(self.metric, self.result, self.relative)
-
     def row(self) -> dict[str, Any]:
         """Entry of `results.json`."""
         return {
@@ -90,11 +93,6 @@ class PairwiseTest:
             "mean_low": self.mean.low,
             "mean_high": self.mean.high,
         }
-
-
-def is_tie(metric: str, result: Result, relative: float) -> bool:
-    """Tell whether a test shows a difference in cost that is a practical tie."""
-    return metric == "cost" and result != "open" and abs(relative) < PRACTICALLY_EQUAL
 
 
 def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:

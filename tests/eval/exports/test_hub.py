@@ -59,7 +59,6 @@ def refusal(*arguments: str, folder: Path) -> str:
 
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
-    """A user's policy."""
     bundle.save_bundle(tmp_path / "own", SPEC, new_weights())
     return tmp_path / "own"
 

@@ -37,7 +37,6 @@ def identity(source: object) -> str | None:
 
 
 def blocks(language: str) -> list[str]:
-    """Blocks of a language on the page."""
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
@@ -136,7 +135,6 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
 
 
 def write(*arguments: str, cwd: Path) -> dict[str, Any]:
-    """Export C into the folder `made`; return the manifest."""
     assert stopped(export.main, ("c", *arguments, "--out", "made"), cwd) == (0, "")
     return json.loads((cwd / "made" / MANIFEST).read_text())
 
