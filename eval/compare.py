@@ -32,6 +32,7 @@ from eval.comparison.sets import choose_set
 from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS
 from eval.report import summary
 from eval.report.publish import print_results, publish
+from eval.report.verdict import verdict
 from eval.studies._frame import PAGE, text_of
 
 MOST = 100_000
@@ -99,7 +100,7 @@ def run(config: Config) -> None:
     require_bounds(config, time_limit=(1, LONGEST))
     if config.verify is not None:
         with progress_count("parts", console) as done:
-            news, sound = verify(config.verify, config, config.policy, config.add, config.time_limit, done)
+            news, sound = verify(config.verify, config, verdict, config.policy, config.add, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
     usual, moves, seeds = (QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS) if config.quick else (EPISODES, MOVES, None)

@@ -15,7 +15,6 @@ SETTINGS = tuple(product(("lumped", "lagrangian"), ("off", "train"), ("encoder",
 
 
 def main() -> None:
-    """Hash observations, rewards and states of single arms and of a batch."""
     total = hashlib.sha256()
     actions = (np.arange(400) * 37 % 101 / 50 - 1).astype(np.float32)[:, None]
     for seed, (model, randomization, sensors) in enumerate(SETTINGS):

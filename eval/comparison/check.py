@@ -219,10 +219,9 @@ def _first_failure(method: Method) -> Failure | None:
     (spec,) = method.sources
     for finding in findings_of(spec):
         if not finding.passed:
-            words = f"it does not keep the protocol ({finding.check}): {finding.detail}"
-            return Failure(
-                method.name, "", f"{words}; see `{this_python()} eval/check_controller.py {spec}`", finding.trace
-            )
+            words = f"it does not keep the protocol ({finding.check}): {finding.detail}; "
+            words += f"see `{this_python()} eval/check_controller.py {spec}`"
+            return Failure(method.name, "", words, finding.trace)
     return None
 
 

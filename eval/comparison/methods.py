@@ -182,9 +182,7 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
             )
         spec, content = read_spec(folder)
         if spec.sensors != "encoder":
-            raise ValueError(
-                f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
-            )
+            raise ValueError(f"{folder} needs sensors={spec.sensors!r}; the comparison gives methods the encoder alone")
         usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
             usual = folder.resolve().parent.name
@@ -232,7 +230,8 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
 def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:
     """Single methods with names that tell them apart, where neither is given `paper`, `adaptive` and a shipped policy.
 
-    Controllers are classical ones by name, or a user's own; each policy is a method by itself.
+    Controllers are classical ones by name, or a user's own, with their file where several have one name; each policy is
+    a method by itself.
 
     Raises:
         ValueError: If a name is unknown, or a controller or policy cannot be loaded.
@@ -243,7 +242,9 @@ def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -
     methods = []
     for name in controllers:
         method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
-        methods.append((method.name, method))
+        file, _, shown = name.rpartition(":")
+        several = file and [each.rpartition(":")[2] for each in controllers].count(shown) > 1
+        methods.append((f"{shown} ({file})" if several else method.name, method))
     for folder in policies:
         (method,) = learned_methods([folder])
         methods.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))

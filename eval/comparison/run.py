@@ -5,9 +5,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise, product
+from math import inf, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from baselines import CONTROLLERS, DOMINATED
 from baselines.engines.parallel import SideBySide
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
+from beltarm_env.metrics import METRICS
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
 from eval.comparison.check import ActionTimes, first_failures, times_of
 from eval.comparison.custom import TIME_LIMIT
@@ -87,7 +89,7 @@ def compare(
         OSError: If the folder cannot be written to, or a process was killed.
         ValueError: If the folder has results of other scenarios, or more results than these, the arms do not move as
             they did when the scenarios were drawn, or no method could be run.
-        KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
+        KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept, and how to go on.
     """
     began = time.perf_counter()
     require_writable(folder)
@@ -104,7 +106,10 @@ def compare(
         for part in in_order:
             part.file(folder).unlink(missing_ok=True)
     kept = kept_count(in_order, folder)
-    results = iter(run_parts(in_order, folder, options, done))
+    try:
+        results = iter(run_parts(in_order, folder, options, done))
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(f"{stop}, without --fresh" if fresh else str(stop)) from None
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
     # Only now, when processes have compiled kernels side by side.
     times = times_of(method for method in methods if method.name not in failed) | failed
@@ -147,7 +152,7 @@ def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioS
     more += [f"shifts of {longer} moves"] if longer else []
     if more:
         raise ValueError(
-            f"{path} has more ({', '.join(more)}), which this run would lose: give another --out, or remove that file"
+            f"{path} has more ({', '.join(more)}), which would be lost: give another --out, or remove that file"
         )
 
 
@@ -161,44 +166,22 @@ def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
 
 # Verification
 
-TOLERANCES = {
-    "interquartile mean of the cost": 0.003,
-    "mean cost": 0.005,
-    "worst 5 % of the cost": 0.02,
-    "share not settled": 0.005,
-    "share out of the workspace": 0.005,
-}
-"""Differences that are allowed between processors: of costs relative, of shares absolute.
+TOLERANCES = {"cost": 0.003, "cost_mean": 0.005, "cost_worst": 0.02, "p_holm": 0.02}
+"""Differences that are allowed between processors, of p values absolute, of costs relative."""
+OTHERWISE = 0.01, 0.005
+"""The same of all other numbers: relative of errors and torques, absolute of times [s] and shares.
 
 Processors round differently, and where a motor sticks is decided by a hair. First torques that differ by 1e-9 N m, more
 than rounding does, changed average costs of `paper`, `mpc`, `adaptive` and a seed of `student` over 500 scenarios of
 each split of the development set (`student`: all but `structural`) by less than a tenth of these tolerances."""
-
-
-class Difference(NamedTuple):
-    """A number of a method on a split, as it is claimed and as it came out."""
-
-    method: str
-    split: str
-    quantity: str
-    claimed: float
-    measured: float
-
-    @property
-    def excess(self) -> float:
-        """Size over the tolerance."""
-        scale = 1.0 if self.quantity.startswith("share") else abs(self.claimed)
-        return abs(self.measured - self.claimed) / scale / TOLERANCES[self.quantity]
-
-    def __str__(self) -> str:
-        """The numbers, in words."""
-        numbers = f"claimed {self.claimed:.6g}, here {self.measured:.6g}, {self.excess:.2g} of the tolerance"
-        return f"{self.method} on {self.split}, {self.quantity}: {numbers}"
+_Claim = tuple[float | str, float]  # number or word, and by how much it may differ
+_NOTHING: _Claim = (float("nan"), 0.0)
 
 
 def verify(
     folder: Path,
     options: SideBySide,
+    judge: Callable[[Comparison], tuple[list[str], list[dict[str, Any]]]],
     policies: Sequence[str] = (),
     added: Sequence[str] = (),
     time_limit: float = TIME_LIMIT,
@@ -206,8 +189,9 @@ def verify(
 ) -> tuple[str, bool]:
     """Run again what the results.json of a folder claims, in a temporary folder; arguments as of `compare`.
 
-    Policies and controllers of the user's own are by default those of the command that the results name. Returns a
-    sentence about the first number that differs by more than its tolerance, or about all, and whether all agree.
+    Policies and controllers of the user's own are by default those of the command that the results name, and `judge`
+    makes sentences and tests of the verdict. Returns a sentence about the first number or word that differs by more
+    than its tolerance, or about all, and whether all agree.
 
     Raises:
         ValueError: If the results are of other scenarios or of files that no commit has, or a method is not there or
@@ -221,17 +205,26 @@ def verify(
         comparison = compare(methods, scenarios, episodes, Path(temporary), options, done=done)
     for failure in comparison.failures:
         raise ValueError(f"{failure.method} failed on {failure.split}: {failure.message}")
-    measured = {(row["method"], row["split"]): _quantities(row) for row in to_json(comparison)["rows"]}
-    numbers = [
-        Difference(row["method"], row["split"], quantity, value, measured[row["method"], row["split"]][quantity])
-        for row in claimed["rows"]
-        for quantity, value in _quantities(row).items()
-    ]
-    wrong = next((number for number in numbers if number.excess > 1), None)
+    sentences, primary = judge(comparison)
+    claims, here = _claims(claimed), _claims(to_json(comparison, sentences, primary))
+    pairs = {key: (claims.get(key, _NOTHING), here.get(key, _NOTHING)) for key in {**claims, **here}}
+    excess = {key: _excess(*pair) for key, pair in pairs.items()}
+    wrong = next((key for key in excess if excess[key] > 1), None)
+    method, split, quantity = farthest = wrong or max(excess, key=lambda key: excess[key])
+    said, found = (value if isinstance(value, str) else f"{value:.6g}" for value, _ in pairs[farthest])
+    about = f"{method} on {split}, {quantity}: claimed {said}, here {found}, {excess[farthest]:.2g} of the tolerance"
     if wrong:
-        return f"Not as {path} says: {wrong}", False
-    farthest = max(numbers, key=lambda number: number.excess)
-    return f"All {len(numbers)} numbers of {path} come out again. Farthest: {farthest}", True
+        return f"Not as {path} says: {about}", False
+    other = "" if sentences == claimed["verdict"] else " The sentences of its verdict are others here."
+    return f"All {len(pairs)} numbers and words of {path} come out again.{other} Farthest: {about}", True
+
+
+def _excess(claimed: _Claim, measured: _Claim) -> float:
+    """Difference over the tolerance; infinite where words or counts differ, or one of the two is not there."""
+    (said, allowed), (found, _) = claimed, measured
+    if isinstance(said, str) or isinstance(found, str) or not allowed:
+        return 0.0 if said == found else inf
+    return abs(said - found) / allowed if isfinite(found) else inf
 
 
 def _claimed_methods(
@@ -261,19 +254,36 @@ def _claimed_scenarios(claimed: dict[str, Any], path: Path) -> ScenarioSet:
     commit = claimed["provenance"]["commit"]
     if commit == "unknown" or commit.endswith("-dirty"):
         raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
-    names = list(dict.fromkeys(row["split"] for row in claimed["rows"]))
-    return set_of(claimed, path).only(
-        names, claimed["rows"][0]["episodes"], max(row["moves"] for row in claimed["rows"])
-    )
+    rows = claimed["rows"]
+    names, moves = list(dict.fromkeys(row["split"] for row in rows)), max(row["moves"] for row in rows)
+    return set_of(claimed, path).only(names, rows[0]["episodes"], moves)
 
 
-def _quantities(row: dict[str, Any]) -> dict[str, float]:
-    """Numbers of a row that have a tolerance."""
-    costs = {"interquartile mean of the cost": row["metrics"]["cost"]["iqm"], "mean cost": row.get("cost_mean")}
-    costs["worst 5 % of the cost"] = row.get("cost_worst")
-    shares = {"share not settled": "not_settled", "share out of the workspace": "left_workspace"}
-    failures = row["failures"]
-    return {
-        **{quantity: cost for quantity, cost in costs.items() if cost is not None},
-        **{quantity: failures[key] / failures["runs"] for quantity, key in shares.items()},
-    }
+def _claims(content: dict[str, Any]) -> dict[tuple[str, str, str], _Claim]:
+    """What a results.json claims, by method, split and quantity: of rows, of pairs, and of the primary comparison."""
+    claims: dict[tuple[str, str, str], _Claim] = {}
+    for row in content["rows"]:
+        own, failures = (row["method"], row["split"]), row["failures"]
+        numbers = {name: value["iqm"] for name, value in row["metrics"].items()}
+        numbers |= {name: row[name] for name in ("cost_mean", "cost_worst") if name in row}
+        numbers |= {name: failures[name] / failures["runs"] for name in ("not_settled", "left_workspace")}
+        claims |= {(*own, name): (value, _allowed(name, value)) for name, value in numbers.items()}
+        claims |= {(*own, name): (row[name], 0.0) for name in ("episodes", "moves", "seeds")}
+    pairs = [(row["method"], row["other"], row, each) for row in content["paired"] for each in row["metrics"].items()]
+    pairs += [(row["challenger"], row["classical"], row, (row["metric"], row)) for row in content.get("primary", [])]
+    for method, other, about, (name, test) in pairs:
+        _, allowed = claims.get((method, about["split"], name), _NOTHING)
+        found = {"difference": (test["iqm"], allowed), "p": (test["p_holm"], TOLERANCES["p_holm"])}
+        found |= {"mean difference": (test["mean"], 2 * allowed)} if "mean" in test else {}
+        found["result"] = test.get("verdict") or test["result"], 0.0
+        words = f"{name} against {other}, {about.get('against', 'primary')}"
+        claims |= {(method, about["split"], f"{words}, {part}"): claim for part, claim in found.items()}
+    return claims
+
+
+def _allowed(name: str, value: float) -> float:
+    """Difference that is allowed of a number of a row; of zeros that of rounding."""
+    metric, (relative, absolute) = METRICS.get(name), OTHERWISE
+    if name in ("not_settled", "left_workspace") or (metric and (metric.share or metric.unit == "s")):
+        return absolute
+    return TOLERANCES.get(name, relative) * abs(value) + 1e-4

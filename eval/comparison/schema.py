@@ -122,7 +122,7 @@ _PRIMARY = object_of(  # a test of the primary comparison: a metric on a split
     **_TEST,  # difference, its share of the classical controller's value, p after Holm's correction over the splits
 )
 _ROW = object_of(  # a method on a split
-    ("median_seed", "cost_mean", "cost_worst", "marks", "sensitivity"),
+    ("median_seed", "cost_worst", "marks", "sensitivity"),
     method=TEXT,
     sensitivity=NUMBER,  # on the main split: share of episodes whose cost changes with the first torque
     kind={"enum": list(get_args(Kind))},  # "added": a user's own; "privileged": an oracle, never ranked

@@ -180,9 +180,7 @@ def set_of(results: dict[str, Any], path: Path) -> ScenarioSet:
     fresh = re.fullmatch(r"seed (\d+)", label.name)
     known = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
     if known.label != label:
-        raise ValueError(
-            f"{path} is of other scenarios than this checkout's {known.label.title}: run the comparison again"
-        )
+        raise ValueError(f"{path} is of other scenarios than this checkout's {known.label.title}: run it again")
     return known
 
 

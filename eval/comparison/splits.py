@@ -55,11 +55,9 @@ class Definition:
     moves: int = 1
 
 
-def _shifted(**factors: tuple[float, float]) -> dict[str, tuple[float, float]]:
+def _shifted(**times: tuple[float, float]) -> dict[str, tuple[float, float]]:
     """Ranges of some constants as multiples of their nominal values."""
-    return {
-        name: (low * getattr(NOMINAL, name), high * getattr(NOMINAL, name)) for name, (low, high) in factors.items()
-    }
+    return {name: (low * getattr(NOMINAL, name), high * getattr(NOMINAL, name)) for name, (low, high) in times.items()}
 
 
 def _beyond(low: float, high: float, *names: str) -> dict[str, tuple[float, float]]:

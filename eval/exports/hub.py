@@ -80,9 +80,7 @@ def export(options: Options) -> None:
         raise ValueError(f"{out} is there already: replace it with --overwrite, or choose another with --out")
     scores = scores_of(options.policy, content["sha256"], options.results or PUBLISHED)
     if scores is None and options.results is not None:
-        raise ValueError(
-            f"{options.policy} took no part in {options.results}: give it to eval/compare.py with --policy"
-        )
+        raise ValueError(f"{options.policy} took no part in {options.results}: give it to eval/compare.py by --policy")
     files = files_of(options, scores)
     write_folder(out, files)
     if scores is None:
@@ -102,12 +100,8 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
 
     _, _, content, data = read_bundle(options.policy)
     about = ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")
-    config = {
-        "format": FORMAT,
-        "environment": ENVIRONMENT,
-        "policy": POLICY_FILE,
-        **{key: content[key] for key in about},
-    }
+    config: dict[str, Any] = {"format": FORMAT, "environment": ENVIRONMENT, "policy": POLICY_FILE}
+    config |= {key: content[key] for key in about}
     text = markdown(scores) if scores else ""
     made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
     if scores:

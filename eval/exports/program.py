@@ -53,7 +53,7 @@ class Options:
     check: bool = True
     """Write the sources alone, without compiling them and comparing them with Python."""
     episodes: int = 4
-    """Development scenarios that they are compared on, 1 to 200."""
+    """Development scenarios that they are compared on, 1 to 200: single moves, and shifts of two moves."""
 
 
 def export(options: Options) -> None:
@@ -68,15 +68,17 @@ def export(options: Options) -> None:
     print(f"written to {options.out}: {loop.name}.h, {loop.name}.c and what goes with them")
     if not options.check:
         return
-    split, controller = development_set().splits["randomized"], controller_of(options.source, options.guard)
-    agreement = compare(options.out, loop, controller, split, options.episodes)
-    print(agreement.words())
+    splits, controller = development_set().splits, controller_of(options.source, options.guard)
+    differing = samples = 0
+    for split in (splits["randomized"], splits["shift"].shortened(2)):  # with a move that begins where one ended
+        agreement = compare(options.out, loop, controller, split, options.episodes)
+        differing, samples = differing + agreement.samples - agreement.equal, samples + agreement.samples
+        print(f"{split.name}: {agreement.words()}")
     for core in processors_for(loop.identifies):
         if taken := footprint(options.out, loop.name, core):
             print(f"{core}: {', '.join(f'{size / 1024:.0f} kB of {kind}' for kind, size in taken._asdict().items())}")
-    differing = agreement.samples - agreement.equal
     if differing and options.plan_samples == 1:
-        raise ValueError(f"program and controller differ in {differing} of {agreement.samples} samples")
+        raise ValueError(f"program and controller differ in {differing} of {samples} samples")
 
 
 def write_program(folder: Path, loop: Loop) -> None:

@@ -17,10 +17,11 @@ from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.schema import AGAINST, read_results
 from eval.comparison.sets import set_of
-from eval.comparison.splits import main_split
+from eval.comparison.splits import EPISODES, main_split
 from eval.exports.source import TEMPLATES
 from eval.report.table import Record, Results, estimate
 from eval.report.text import cell, markdown_table
+from eval.report.verdict import PRACTICALLY_EQUAL, Result, is_tie
 
 if TYPE_CHECKING:
     from huggingface_hub import EvalResult
@@ -35,13 +36,14 @@ class Scores:
     """Scores of the method that a policy belongs to, and the reward of the policy itself.
 
     A method of learning has a policy for each training seed, and a comparison scores all of them together. The Hub
-    ranks agents by the reward of one policy: it is run once more, on the comparison's scenarios of the main split.
+    ranks agents by the reward of one policy, summed over an episode: it is run once more, on the comparison's scenarios
+    of the main split, the first `EPISODES` of them.
     """
 
     results: Results
     digest: str  # SHA-256 of results.json
     method: str
-    rewards: Floats  # of the policy, a number for each scenario of the main split
+    rewards: Floats  # of the policy, summed over all moves of each scenario of the main split
 
     @property
     def mean_reward(self) -> str:
@@ -71,9 +73,10 @@ def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     scenarios = set_of(results, path)
     scores = Scores(Results(results), sha256_of(path), method, np.empty(0))
     home, row = next(iter(scores.rows.items()))
-    arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(row["episodes"]))
-    run = rollout(load_controller(policy), row["episodes"], sensors=read_spec(policy)[0].sensors, **arguments)
-    return replace(scores, rewards=-run.over_moves(run.cost))
+    count = min(row["episodes"], EPISODES)  # a fresh set may have more than fit into memory at once
+    arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(count))
+    run = rollout(load_controller(policy), count, sensors=read_spec(policy)[0].sensors, **arguments)
+    return replace(scores, rewards=-run.num_moves * run.over_moves(run.cost))
 
 
 def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | None:
@@ -112,23 +115,42 @@ def eval_results(scores: Scores) -> list["EvalResult"]:
     return entries
 
 
+def _result(results: Results, pair: Mapping[str, Any]) -> Result:
+    """Result of a pair in cost: that of the primary comparison, where it is of this pair.
+
+    Otherwise a difference takes a p value after Holm's correction, and a mean difference of the same sign.
+    """
+    ours = ("cost", pair["split"], pair["method"], pair["other"])
+    for row in results.content.get("primary", []):
+        if tuple(row[key] for key in ("metric", "split", "challenger", "classical")) == ours:
+            return row["result"]
+    own, other = (results.records[pair[key], pair["split"]]["cost_mean"] for key in ("method", "other"))
+    cost = pair["metrics"]["cost"]
+    shown = cost["p_holm"] < 0.05 and cost["iqm"] * (own - other) > 0
+    return ("better" if cost["iqm"] < 0 else "worse") if shown else "open"
+
+
 def markdown(scores: Scores) -> str:
     """Scores of a card for people: splits where a classical controller is better, a table, and how it was made."""
     rows, results = scores.rows, scores.results
     home, first = next(iter(rows.items()))
     shown = [name for name in SHOWN if name != NOT_ARRIVED or name in first["metrics"]]
-    table, costs = [], dict[str, str]()
+    table, costs, tied = [], dict[str, str](), list[str]()
     for split, row in rows.items():
         best = ["–", "–"]
         if pair := results.against(AGAINST[0], split).get(scores.method):
-            other, costs[split] = pair["other"], pair["metrics"]["cost"]["verdict"]
+            other, result = pair["other"], _result(results, pair)
             level = estimate(results.records[other, split], "cost").iqm
-            best = [f"`{other}` {level:.0f}", f"{cell('cost', estimate(pair, 'cost'))}: {costs[split]}"]
+            tied += [split] if is_tie("cost", result, estimate(pair, "cost").iqm / level) else []
+            costs[split], words = result, result.replace("open", "no difference shown")
+            best = [f"`{other}` {level:.0f}", f"{cell('cost', estimate(pair, 'cost'))}: {words}"]
         table.append([split, *(cell(name, estimate(row, name)) for name in shown), *best])
     shipped = {folder.parent.name for folder in shipped_policies()}
     return TEMPLATES.get_template("card_scores.md.j2").render(
         scores=scores,
         costs=costs,
+        tied=tied,
+        tie=100 * PRACTICALLY_EQUAL,
         table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
         note=results.label.note_with([] if scores.method in shipped else [scores.method]),
         home=home,

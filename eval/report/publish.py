@@ -73,9 +73,8 @@ def publish(
     comparison = comparison.with_failures(failures)
     content = write_results(comparison, folder, *verdict(comparison))
     calls: dict[str, Callable[[], object]] = {"report.html": partial(_write_report, folder, content, scenes)}
-    calls |= {
-        name: partial(save_figures, {name: draw}, folder) for name, draw in plots(Results(content), traces).items()
-    }
+    drawn = plots(Results(content), traces)
+    calls |= {name: partial(save_figures, {name: draw}, folder) for name, draw in drawn.items()}
     calls_side_by_side("report and pictures", calls, jobs)
     return content, comparison.failures
 

@@ -17,6 +17,7 @@ from eval.comparison.splits import EDITION, SPLITS
 from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES
 from eval.report.table import Results, Table, difference_texts, estimate, to_markdown
 from eval.report.text import markdown_table
+from eval.report.verdict import PRACTICALLY_EQUAL, is_tie
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}
 _ANSWERED = {
@@ -28,6 +29,8 @@ _ANSWERED = {
 CONSTANTS: dict[str, Any] = {
     "arrival_mm": 1000 * metrics.ARRIVAL_BOUND,
     "mostly": MOSTLY,
+    "practically_equal": PRACTICALLY_EQUAL,
+    "is_tie": is_tie,
     "resamples": RESAMPLES,
     "least_p": LEAST_P,
     "least_scenarios": LEAST_SCENARIOS,
@@ -111,6 +114,7 @@ def headline(results: Results) -> str:
     times = [f"{1000 * estimate(row, 'still_s').iqm:.0f} ms with {name}" for name, row in zip(names, pair, strict=True)]
     still = ", and in ".join(times) + unsure.get(tests["still_s"]["result"], "")
     change = f"the move costs {100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
+    change += ", a practical tie" if is_tie("cost", cost["result"], cost["relative"]) else ""
     change = {"open": "no difference in the cost of the move is shown"}.get(cost["result"], change)
     return f"After {after} the arm's end is still in {still}; {change}."
 

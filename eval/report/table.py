@@ -138,9 +138,7 @@ class Results:
         first = {row["method"]: row for row in reversed(self.content["rows"])}
         chosen: list[Record] = [self.records.get((name, self.main)) or row for name, row in first.items()]
         costs = {row["method"]: estimate(row, "cost").iqm for row in chosen if row["split"] == self.main}
-        return sorted(
-            chosen, key=lambda row: (row["kind"] == "privileged", costs.get(row["method"], inf), row["method"])
-        )
+        return sorted(chosen, key=lambda r: (r["kind"] == "privileged", costs.get(r["method"], inf), r["method"]))
 
     def on(self, split: str) -> list[Record]:
         """Records of a split."""

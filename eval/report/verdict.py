@@ -24,11 +24,19 @@ from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_pa
 
 Result = Literal["better", "worse", "open"]
 
-_PRACTICALLY_EQUAL = 0.03
+PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
+
+
+def is_tie(metric: str, result: Result, relative: float) -> bool:
+    """Tell whether a test shows a difference in cost that is a practical tie."""
+    return metric == "cost" and result != "open" and abs(relative) < PRACTICALLY_EQUAL
+
+
 _WORDS: dict[str, Any] = {
     "KINDS": {"learned": "learned method", "added": "added controller"},
-    "practically_equal": _PRACTICALLY_EQUAL,
+    "practically_equal": PRACTICALLY_EQUAL,
+    "is_tie": is_tie,
     "least": LEAST_SCENARIOS,
     "whole": EPISODES,
     "all_moves": MOVES,
@@ -107,7 +115,10 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     best = comparison.best_classical(home)
     of_kind = [outcome for outcome in ranked if outcome.method.kind == pair[0].method.kind]
     leads = min(of_kind, key=lambda outcome: outcome.cost) is pair[0], best is pair[1]
+    against = [pair for pair in comparison.pairs if (pair.against, pair.outcome.split) == ("best classical", home)]
+    corrected = {pair.outcome.name: pair.metrics["cost"] for pair in against}  # for all methods of this split
     of_own = _tested([(outcome, best) for outcome in own if best], "cost")
+    of_own = [replace(test, middle=corrected[test.challenger.name]) for test in of_own]
     sentences = _sentences(tests=tests, leads=leads, own=of_own, episodes=episodes, **words)
     return sentences, [test.row() for of_metric in tests.values() for test in of_metric.values()]
 

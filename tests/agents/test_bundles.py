@@ -109,9 +109,7 @@ class TestSaved:
 
 
 @pytest.mark.parametrize("files_written", [0, 1])
-def test_a_policy_that_cannot_be_replaced_stays_valid(
-    bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int
-):
+def test_a_policy_that_is_not_replaced_stays_valid(bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int):
     """The disk fills up at the card, or between the card and the policy."""
     before, full = (bundle / POLICY_FILE).read_bytes(), OSError(errno.ENOSPC, "No space")
     with monkeypatch.context() as patched:

@@ -278,9 +278,7 @@ def test_ppo_begins_with_what_the_teacher_taught(whole_taught: TrainingMonitor, 
     assert not np.array_equal(learned["layers.0.weight"], theirs["layers.0.weight"])
 
 
-def test_a_run_that_is_stopped_in_either_part_goes_on_as_if_it_had_not_been(
-    whole_taught: TrainingMonitor, tmp_path: Path
-):
+def test_a_run_stopped_in_either_part_goes_on_as_if_it_had_not_been(whole_taught: TrainingMonitor, tmp_path: Path):
     """And its policies are those of PPO."""
     folder = whole_taught.config.out
     spec, _ = read_spec(folder / "last")

@@ -127,7 +127,6 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_search_is_kept_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """With trainings as they are."""
     options = "--trials 2 --jobs 1 --samples 2560 --arms 4 --validation-arms 2 --out .".split()
     assert stopped(main, ("sac", *options), tmp_path) == (0, "")
     config = few(tmp_path)
@@ -167,9 +166,7 @@ def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
         channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
 
 
-def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_search_interrupted_again_and_again_is_the_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
     monkeypatch.setattr(tuning, "train", train_at_once)
 

@@ -129,7 +129,6 @@ class TestFiles:
             assert np.array_equal(read.observe(seen)[0].mean, observer.observe(seen)[0].mean)
 
     def test_missing_foreign_and_damaged_files_are_refused(self, tmp_path: Path):
-        """As those of policies are, in `test_bundles.py`."""
         path = tmp_path / "a.safetensors"
         refused(ValueError, (path.name, "train/observer.py"), lambda: load_observer(path))
         save_observer(path, Observer(width=4), {})

@@ -267,7 +267,6 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, 
 
 
 def test_progress_is_reported(finished: Any, tmp_path: Path):
-    """An arm without a base does not ring to be compared with."""
     baseless: list[News] = []
     run(tiny("ppo", tmp_path, total_steps=64, validation_every=64, base="none"), report=baseless.append)
     for (folder, reports), steps, rings in ((finished, [0, 128], True), ((tmp_path, baseless), [0, 64], False)):

@@ -113,9 +113,7 @@ class TestMeasurementEquation:
         velocity = (tip(states + 1e-6 * moved, table) - tip(states - 1e-6 * moved, table)) / 2e-6
         mean, place = np.diff(velocity, axis=0) / CONTROL_PERIOD, tip(states[1:], table)
         along = place / np.linalg.norm(place, axis=-1, keepdims=True)
-        turned = np.stack(
-            [(mean * along).sum(-1), mean[..., 1] * along[..., 0] - mean[..., 0] * along[..., 1]], axis=-1
-        )
+        turned = np.stack([(mean * along).sum(-1), mean[..., 1] * along[..., 0] - mean[..., 0] * along[..., 1]], -1)
         reported = np.array([unfiltered(now, before)[0] for before, now in pairwise(felt)])
         errors = reported - turned
         assert np.abs(turned[..., 1]).max() > 30 * SPREAD and np.abs(turned[..., 0]).max() > 10 * SPREAD
@@ -236,9 +234,7 @@ class TestIdentification:
     @pytest.mark.parametrize(
         ("nominal", "delay", "counts"), [(ArmParams(), 0.0, 1500), (design_model(), 1.5, 1000)], ids=["ideal", "late"]
     )
-    def test_finds_delay_and_resolution_of_the_encoder_whatever_it_is_told(
-        self, nominal: ArmParams, delay: float, counts: int
-    ):
+    def test_finds_delay_and_resolution_whatever_it_is_told(self, nominal: ArmParams, delay: float, counts: int):
         env = batch(24, randomization="train", delay=delay, encoder_counts=counts)
         belief = believed_after(AdaptiveController(params=nominal), env, 150)
         assert np.sqrt(np.mean((belief.tracks.mean[:, DELAY] - true_delays(env) - delay) ** 2)) < 0.2
@@ -315,9 +311,7 @@ class TestTrust:
         assert misled.finished.all() and misled.cost.mean() < 1.35 * sound.cost.mean()
 
     @pytest.mark.parametrize(("torsion", "variance"), [(2.0, 1e-4), (0.0, 1e300)], ids=["torsion", "variance"])
-    def test_begins_anew_at_rest_where_its_state_is_beyond_bounds_behind_a_dead_encoder(
-        self, torsion: float, variance: float
-    ):
+    def test_begins_anew_at_rest_where_it_is_beyond_bounds_behind_a_dead_encoder(self, torsion: float, variance: float):
         env, identifier = batch(8), tuned_identifier()
         belief = believed_after(AdaptiveController(), env, 60)
         reading = read(env.reset(seed=TRAIN_SEED)[0], identifier.params)

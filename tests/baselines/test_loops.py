@@ -96,9 +96,7 @@ def responses(name: str, controller: Any, places: tuple[int, ...], pulse: float)
         *((name, *of) for name in ("ei", "lqg", "preview", "mpc") for of in ((0.75, (0,)), (1.6, (30,)))),
     ],
 )
-def test_a_controller_responds_to_a_pulse_of_torque_as_its_linear_loop(
-    name: str, latency: float | None, places: tuple[int, ...]
-):
+def test_a_controller_responds_to_a_pulse_as_its_linear_loop(name: str, latency: float | None, places: tuple[int, ...]):
     """Its own `predict`, in closed loop with the environment's arm, ideal and behind a drive."""
     params = FRICTIONLESS if latency is None else replace(DRIVEN, command_latency=latency * CONTROL_PERIOD)
     controller, pulse = frictionless(name, params), 1e-6

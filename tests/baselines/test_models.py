@@ -155,9 +155,7 @@ def links(corners: Floats, times: Floats) -> Floats:
 
 @given(MOVES, st.floats(0.02, 2.0), st.floats(0.02, 2.0))
 @examples(40)
-def test_a_smoothed_move_sets_out_and_arrives_as_the_task_and_meets_it_in_between(
-    move: Floats, first: float, others: float
-):
+def test_a_smoothed_move_begins_and_arrives_as_the_task_and_meets_it_between(move: Floats, first: float, others: float):
     corners = smoothed(move, UNDAMPED, first, others)
     start, goal, duration, ramp = move
     onsets, spreads = corners[1:5], corners[5:9]

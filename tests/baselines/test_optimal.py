@@ -107,7 +107,6 @@ class TestFeedbackGains:
 
 
 def random_problem(generator: np.random.Generator, steps: int, limit: float):
-    """A problem over random dynamics and weights."""
     problem = empty_problem(steps)
     problem.transition[:] = np.eye(SIZE) + 0.2 * generator.normal(size=(steps, SIZE, SIZE))
     problem.transition[:, 4] = np.eye(SIZE)[4]

@@ -139,9 +139,7 @@ class TestSchema:
             check({**GOOD, **change}, "the book", BOOK)
 
 
-def test_where_there_is_no_terminal_lines_say_how_far_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_without_terminal_lines_say_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     assert list(progress.progress_over("letters", "ab")) == ["a", "b"] and capsys.readouterr().err == ""
     monkeypatch.setattr(progress, "_LINE_EVERY", -1.0)
     assert list(progress.progress_over("letters", "ab")) == ["a", "b"]

@@ -154,7 +154,6 @@ def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path)
 
 
 def test_journal_of_another_search_is_left_alone(tmp_path: Path):
-    """Its journal, and the lock by which Optuna writes to it."""
     journal, optuna_lock = tmp_path / "journal", tmp_path / "journal.lock"
     with own(journal):
         journal.write_text("theirs")
@@ -269,9 +268,7 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
     assert reached["modulus_at"].rsplit(", ", 1)[0] in wanted["arms"]
 
 
-def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
-    tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]
-):
+def test_a_resumed_search_keeps_options_it_is_not_given(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
     """Its budget, the margins that it does without, and the file of its gains."""
     name, other = NAMES
     limits = ("--moves", "1", "--budget", str(MIN_BUDGET + BATCH))

@@ -20,7 +20,6 @@ MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
 
 
 def spread(low: float, high: float) -> st.SearchStrategy[float]:
-    """Evenly spread over the orders of magnitude."""
     return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 

@@ -94,9 +94,7 @@ class TestBeginningAndEnd:
             assert env.step(STILL)[2:4] == (True, True)
 
     @pytest.mark.parametrize(("direction", "moves", "rest"), [(-1.0, 1, 0), (1.0, 1, 0), (1.0, 3, 1300)])
-    def test_leaving_the_workspace_ends_it_and_is_charged_for_all_steps_left(
-        self, direction: int, moves: int, rest: int
-    ):
+    def test_leaving_the_workspace_ends_it_and_is_charged_for_steps_left(self, direction: int, moves: int, rest: int):
         env, terminated, steps, total = make(randomization="train", moves=moves), False, 0, 0.0
         _, info = env.reset(seed=3)
         while not terminated:

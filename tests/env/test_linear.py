@@ -126,7 +126,6 @@ class TestSampled:
 
 
 def system_of(params: ArmParams, model: str = "lumped") -> control.NonlinearIOSystem:
-    """The arm as a system of python-control."""
     states = ["theta_a", "omega_a", "theta_s", "omega_s"]
     return control.nlsys(lambda t, x, u, p: state_derivative(x, u[0], params, model), inputs=["torque"], states=states)
 

@@ -182,7 +182,6 @@ class Raises:
 
 
 def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
-    """Where it is the only method's, and nothing is left to compare."""
     (tmp_path / "mine.py").write_text(RAISES)
     options = ("--methods", "Raises", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--traceback")
     code, errors = stopped(compare.main, ("--add", "mine.py:Raises", *options, "--out", "out"), tmp_path)
@@ -218,7 +217,7 @@ def test_policies_are_grouped_by_method(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
+def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def words(methods: str, splits: str, episodes: int, *more: str) -> tuple[str, ...]:
         chosen = ("--methods", *methods.split(), "--splits", *splits.split(), "--episodes", str(episodes))
         return (*chosen, "--jobs", "1", "--out", "out", *more)
@@ -242,6 +241,9 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
         wider = words("paper zvd rigid", "nominal randomized", 6, *fresh, *more)
         assert stopped(compare.main, wider, tmp_path) == (0, "")
         assert read_results(out / "results.json")["provenance"]["pairs_kept_before"] == kept
+        with monkeypatch.context() as patch:
+            patch.setattr("eval.comparison.run.run_parts", Mock(side_effect=KeyboardInterrupt("goes on")))
+            assert ("without --fresh" in stopped(compare.main, wider, tmp_path)[1]) == bool(more)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,6 @@ def committed() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Folder and output of the command."""
     folder, output = tmp_path_factory.mktemp("compared"), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
         patch.setattr(publish, "save_figures", draw_alone)
@@ -117,7 +116,6 @@ def verified(folder: Path) -> tuple[int, str]:
 
 @pytest.fixture(scope="module")
 def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a user's own controller."""
     folder = tmp_path_factory.mktemp("claim")
     (folder / "mine.py").write_text("from baselines.servo.paper import PaperController as Mine\n")
     words = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
@@ -137,23 +135,34 @@ def test_results_are_verified(claim: Path):
     assert {path: path.read_bytes() for path in claim.iterdir() if path.is_file()} == before
 
 
+def scale(numbers: dict[str, Any], name: str, factor: float) -> None:
+    numbers[name] *= factor
+
+
 @pytest.mark.parametrize(
-    ("change", "code"),
+    ("change", "code", "named"),
     [
-        (lambda row: row["metrics"]["cost"].update(iqm=1.002 * row["metrics"]["cost"]["iqm"]), 0),
-        (lambda row: row["metrics"]["cost"].update(iqm=0.99 * row["metrics"]["cost"]["iqm"]), 1),
-        (lambda row: row.update(cost_mean=0.99 * row["cost_mean"]), 1),
-        (lambda row: row["failures"].update(not_settled=0), 1),
+        (lambda row, _: scale(row["metrics"]["cost"], "iqm", 1.002), 0, "come out again"),
+        (lambda row, _: scale(row["metrics"]["cost"], "iqm", 0.99), 1, "paper on nominal, cost:"),
+        (lambda row, _: scale(row, "cost_mean", 0.99), 1, "paper on nominal, cost_mean:"),
+        (lambda row, _: row["failures"].update(not_settled=0), 1, "paper on nominal, not_settled:"),
+        (lambda row, _: scale(row["metrics"]["still_s"], "iqm", 0.9), 1, "paper on nominal, still_s:"),
+        (lambda row, _: scale(row["metrics"]["tip_rms_mm"], "iqm", 0.95), 1, "paper on nominal, tip_rms_mm:"),
+        (lambda row, _: row["metrics"].pop("still_s"), 1, "claimed nan"),
+        (lambda row, _: row.update(seeds=5), 1, "claimed 5, here 1"),
+        (lambda _, content: content["paired"][0]["metrics"]["cost"].update(verdict="better"), 1, "claimed better"),
+        (lambda _, content: content["paired"][0]["metrics"]["cost"].update(iqm=-100.0), 1, "claimed -100"),
+        (lambda _, content: content["paired"].clear(), 1, "claimed nan"),
+        (lambda _, content: content.update(verdict=["Mine is better."]), 0, "its verdict"),
     ],
 )
-def test_the_first_number_that_differs_is_named(change: Callable[[Any], None], code: int, claim: Path, tmp_path: Path):
+def test_the_first_claim_that_differs_is_named(change: Any, code: int, named: str, claim: Path, tmp_path: Path):
     content = read_results(claim / "results.json")
-    content["rows"] = [row for row in content["rows"] if row["method"] == "paper"]  # which runs in this process
-    change(content["rows"][0])
-    content["provenance"]["command"] = "python eval/compare.py"
+    content["provenance"]["command"] = f"python eval/compare.py --add={claim.parent / 'mine.py'}:Mine"
+    change(content["rows"][0], content)
     (tmp_path / "results.json").write_text(json.dumps(content))
     status, output = verified(tmp_path)
-    assert status == code and (code == 0 or "paper on nominal" in output)
+    assert status == code and named in output
 
 
 @pytest.mark.parametrize(

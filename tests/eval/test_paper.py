@@ -86,7 +86,6 @@ class TestRuns:
         np.testing.assert_allclose(action[:, 0], np.clip(torque / 0.3, -1, 1), atol=1e-6)
 
     def test_every_assumption_is_tried_at_other_values(self, monkeypatch: pytest.MonkeyPatch):
-        """Side by side as alone."""
         assert len({tried.label for tried in ALTERNATIVES}) == len(ALTERNATIVES)
         assert len({tried.move for tried in ALTERNATIVES}) == 13, "the standard one, and no other twice"
         for tried in ALTERNATIVES:

@@ -86,7 +86,6 @@ def test_delays_are_continuous_and_each_scenario_has_its_own(splits: dict[str, S
     ("name", "randomization"), [("nominal", "off"), ("randomized", {**TRAIN_RANGES, **PRESLIDING})]
 )
 def test_scenarios_are_episodes_of_the_environment(name: str, randomization: Any, splits: dict[str, Split]):
-    """Bit for bit what the environment itself plays from the stated seeds."""
     count = 12
     seeded = rollout(PaperController(), count, seed=splits[name].seed, randomization=randomization)
     stored = rollout(PaperController(), count, **splits[name].arguments(slice(count)))
@@ -106,7 +105,6 @@ def test_scenarios_of_shifts_are_those_that_the_environment_draws_on_the_way(spl
 
 
 def test_a_scenario_of_a_shift_is_averaged_over_its_moves(splits: dict[str, Split]):
-    """And so are its first moves alone."""
     paper, split = next(method for method in classical_methods() if method.name == "paper"), splits["shift"]
     measured, run = measure(Part(paper, split, 2)), rollout(PaperController(), 2, **split.arguments(slice(2)))
     for name in ("cost", "still_s"):
@@ -226,7 +224,6 @@ def rehashed(content: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 def counted(content: dict[str, Any], count: object) -> dict[str, Any]:
-    """Content with another number of scenarios of a split."""
     content["splits"]["randomized"]["count"] = count
     return content
 
@@ -247,7 +244,6 @@ def counted(content: dict[str, Any], count: object) -> dict[str, Any]:
     ],
 )
 def test_damaged_files_are_refused(damage: Callable[[Any], Any], message: str, frozen: Path, tmp_path: Path):
-    """In one line, with little memory."""
     path, content = tmp_path / "scenarios.json", damage(json.loads(frozen.read_text()))
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     tracemalloc.start()

@@ -103,6 +103,28 @@ def test_the_correction_is_for_all_splits():
     assert min(test.middle.p_holm for test in tests.values()) == min(1.0, 12 * smallest)
 
 
+def test_methods_of_a_users_own_are_corrected_for_all_methods():
+    costs = 100 + 5 * np.random.default_rng(5).standard_normal((12, 24))
+    own = [outcome(f"mine{k}", "added", row) for k, row in enumerate(costs)]
+    comparison = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0), *own)
+    assert min(pair_of(comparison, each.name)["cost"].p for each in own) < 0.05
+    said = [sentence for sentence in verdict(comparison) if "mine" in sentence]
+    assert len(said) == 12 and all("no difference" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(("tied", "shifted", "ties"), [(98.0, 60.0, 1), (102.0, 150.0, 1), (98.0, 98.0, 2)])
+def test_a_small_difference_is_a_practical_tie_on_every_split(tied: float, shifted: float, ties: int):
+    costs = {"nominal": tied, "shift": shifted}
+    learned = [outcome("net", "learned", cost, split) for split, cost in costs.items()]
+    results = content_of(made(*learned, *(outcome("pid", "classical", 100.0, split) for split in costs)))
+    assert {row["result"] for row in results["primary"]} == {"better" if tied < 100 else "worse"}
+    assert ("a practical tie" in summary.headline(Results(results))) == (ties == 2)
+    _, others, *_ = results["verdict"]
+    assert "a practical tie" in others and [part in others for part in ("both", "(nominal)")] == [ties == 2, ties == 1]
+    (table,) = re.findall("## The primary comparison.*?##", text_of("comparison", summary, results), re.DOTALL)
+    assert table.count("**, a practical tie") == ties
+
+
 @pytest.mark.parametrize(
     ("methods", "failures", "words"),
     [

@@ -20,12 +20,10 @@ GIVES = {name: high for name, (_, high) in PRESLIDING.items()}
 
 
 def at_rest(joint: float, torsion: float = 0.0, torsion_speed: float = 0.0, gear: float = GEAR) -> np.ndarray:
-    """State of an arm whose motor rests at a joint angle [rad]."""
     return np.array([gear * joint, 0.0, torsion, torsion_speed])
 
 
 def arm_env(params: Mapping[str, Any], state: np.ndarray, model: str = "lumped", **settings: Any) -> BeltArmEnv:
-    """An environment that begins with this arm in this state."""
     env = BeltArmEnv(model=model, **settings)  # pyright: ignore[reportArgumentType]
     env.reset(seed=0, options={"params": dict(params), "move": {"start": math.pi / 4, "goal": 1.2}, "state": state})
     return env

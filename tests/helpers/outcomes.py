@@ -28,7 +28,6 @@ def outcome_of(method: Method, split: str, metrics: Metrics, action_times: tuple
 def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
 ) -> MethodOutcome:
-    """A made-up outcome, of the same scenarios for every method."""
     count = np.size(costs) if np.size(costs) > 1 else 24
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, count))
     values = np.broadcast_to(np.asarray(costs) * np.linspace(0.9, 1.1, count), (seeds, count)) + noise

@@ -87,7 +87,6 @@ class Calls:
         self._counts.clear()
 
     def recorded(self, kernel: Kernel, run: Callable[..., Any]) -> Callable[..., Any]:
-        """Return what calls a kernel and records it."""
         name = f"{kernel.__module__}:{kernel.py_func.__qualname__}"
         constants = getattr(kernel.py_func, "constants", {})
 

@@ -29,7 +29,6 @@ def fail(error: Exception, _: Channel) -> None:
 
 
 def last(folder: Path, channel: Channel) -> str:
-    """Run until asked to stop, leaving a file at begin and end."""
     (folder / "began").write_text(str(os.getpid()))
     while not channel.stop.made:
         time.sleep(0.01)

@@ -33,7 +33,6 @@ def try_study(name: str, folder: Path) -> None:
 
 
 def draw_alone(figures: Mapping[str, Callable[[], Figure]], folder: Path, **_: object) -> None:
-    """Draw figures, and leave empty files in their places."""
     for name, draw in figures.items():
         plt.close(draw())
         (folder / name).touch()

@@ -15,7 +15,6 @@ Calls = list[tuple[Any, ...]]
 
 
 def compiler() -> Toolchain:
-    """This machine's compiler; the test is skipped where there is none."""
     try:
         return native()
     except ValueError as error:
@@ -23,7 +22,6 @@ def compiler() -> Toolchain:
 
 
 def leaves(value: Any) -> Iterator[Any]:
-    """Numbers and arrays of tuples."""
     if isinstance(value, tuple):
         for part in value:
             yield from leaves(part)

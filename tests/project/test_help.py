@@ -23,7 +23,6 @@ COMMANDS += [f"eval/study.py {name}" for name in names()]
 
 
 def help_of(command: str, capfd: pytest.CaptureFixture[str]) -> str:
-    """What `--help` prints, within this process."""
     script, *words = command.split()
     assert stopped(lambda: runpy.run_path(script, run_name="__main__"), (*words, "--help"), ROOT) == (0, "")
     return capfd.readouterr().out

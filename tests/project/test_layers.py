@@ -40,7 +40,6 @@ OPTIONAL = {"pygame", "mujoco", "matplotlib", "pandas", "pyarrow"}
 
 
 def modules(package: str) -> Iterator[tuple[str, Path]]:
-    """Dotted names and files of a package."""
     for path in (path for path in source_files(ROOT / package) if path.suffix == ".py"):
         parts = path.relative_to(ROOT).with_suffix("").parts
         yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
@@ -73,7 +72,6 @@ def imported(path: Path) -> set[str]:
 
 
 def room(module: str) -> str:
-    """The folder or module right below its package."""
     return ".".join(module.split(".")[:2])
 
 

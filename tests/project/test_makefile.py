@@ -37,7 +37,6 @@ def make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def mistake(folder: Path, *arguments: str) -> str:
-    """The one line with which make refuses."""
     result = make(folder, *arguments)
     assert result.returncode == 2 and result.stdout == ""
     (line,) = result.stderr.splitlines()

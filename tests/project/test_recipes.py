@@ -41,8 +41,6 @@ def test_a_controller(tmp_path: Path):
     for kind, name, text in STEP.findall(re.split(r"^##", section, flags=re.M)[0]):
         path = tmp_path / name
         assert path.exists() == (kind == "In"), name
-        path.write_text(
-            edited(path.read_text(encoding="utf-8"), text, name) if kind == "In" else text, encoding="utf-8"
-        )
+        path.write_text(edited(path.read_text("utf-8"), text, name) if kind == "In" else text, encoding="utf-8")
     output = python("-c", CODE, cwd=tmp_path, path=(tmp_path,), BELTARM_ENGINE="plain")
     assert output.split() == ["True"] * 5

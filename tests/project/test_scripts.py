@@ -31,7 +31,6 @@ TINY = (*SHORT, "--validation-every", "128")
 
 
 def train_ppo() -> None:
-    """What `train/ppo.py` does, within this process."""
     main(ppo.PpoConfig, None)
 
 
@@ -98,7 +97,6 @@ def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_
 
 
 def test_several_seeds_are_resumed_with_the_options_of_their_command(tmp_path: Path) -> None:
-    """Also how many there are."""
     config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2)
     note_options(config.out / COMMAND, config)
     told = ("--out", str(config.out), "--resume")

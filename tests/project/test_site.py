@@ -20,8 +20,6 @@ LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "sourc
 
 
 class Page(HTMLParser):
-    """What a page loads."""
-
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.loads: list[str] = []

@@ -26,7 +26,6 @@ _SIZES = (0, 1, 7, 2**16, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 -
 
 
 def damaged_content(rng: Random, content: Any) -> Any:
-    """JSON content with one to three changes at random places."""
     content = copy.deepcopy(content)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         places = list(_places(content))
@@ -36,7 +35,6 @@ def damaged_content(rng: Random, content: Any) -> Any:
 
 
 def _places(content: Any) -> list[tuple[Any, Any]]:
-    """Containers and keys of all that is in JSON content."""
     places, waiting = [], [content]
     while waiting:
         inside = waiting.pop()
@@ -74,7 +72,6 @@ def _change(rng: Random, inside: Any, key: Any, places: list[tuple[Any, Any]]) -
 
 
 def damaged_text(rng: Random, text: bytes, folder: Path) -> bytes:
-    """Text of JSON that is damaged as a text."""
     at = rng.choice([k for k, byte in enumerate(text[:20_000]) if 48 <= byte <= 57] or [0])
     match rng.randrange(6):
         case 0:
@@ -112,7 +109,6 @@ def damaged_bytes(rng: Random, data: bytes, folder: Path) -> bytes:
 
 
 def damaged_weights(rng: Random, data: bytes, folder: Path) -> bytes:
-    """Safetensors whose header, or any part, is damaged."""
     if rng.random() < 0.4:
         return damaged_bytes(rng, data, folder)
     size = int.from_bytes(data[:8], "little")

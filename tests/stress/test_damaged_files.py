@@ -58,7 +58,6 @@ def check(read: damage.Read, meaning: object, folder: str) -> None:
 
 
 def restore(folder: Path, sound: dict[str, bytes]) -> None:
-    """Make the files of a folder sound again, and remove others."""
     for name in files(folder).keys() - sound.keys():
         (folder / name).unlink()
     for name, content in sound.items():

@@ -61,7 +61,6 @@ def _train(folder: Path, resume: bool) -> None:
 
 
 def _training(folder: Path) -> dict[str, Any]:
-    """Policies and curve of a finished training, and which files there are."""
     meaning: dict[str, Any] = {"config.json": json.loads((folder / "config.json").read_text())["identity"]}
     meaning["validation.csv"] = pd.read_csv(folder / "validation.csv").drop(columns="seconds").to_csv()
     for kind in ("best", "last"):
@@ -121,7 +120,6 @@ def test_it_goes_on_to_the_same_files(name: str, pool: ProcessPoolExecutor):
 
 
 def undisturbed(name: str, folder: Path) -> tuple[list[str], dict[str, Any]]:
-    """Events of a run without trouble, and the meaning of its files."""
     subject = SUBJECTS[name]
     events: Any = []
     for begin in (subject.begin, partial(in_child, subject.begin)):  # so that all children have what is compiled
@@ -132,7 +130,6 @@ def undisturbed(name: str, folder: Path) -> tuple[list[str], dict[str, Any]]:
 
 
 def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str], wanted: dict[str, Any]) -> None:
-    """Run into trouble, go on, and compare the files."""
     subject = SUBJECTS[name]
     shutil.rmtree(folder)
     folder.mkdir()

@@ -74,7 +74,6 @@ class Own:
 
 
 def test_a_comparison_is_the_same_on_ray_on_one_machine(tmp_path: Path):
-    """With a policy and a user's own controller."""
     (tmp_path / "own").mkdir()
     (tmp_path / "own/near_the_policy.py").write_text("GAIN = 0.1\n")
     (tmp_path / "own/own.py").write_text(OWN)

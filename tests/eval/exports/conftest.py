@@ -18,8 +18,6 @@ from eval.exports.source import Loop
 
 @dataclass(frozen=True)
 class CachingToolchain(Toolchain):
-    """A compiler that compiles the same sources with the same flags once."""
-
     programs: dict[Any, Path] = field(default_factory=dict, compare=False)
 
     def build(self, sources: list[Path], program: Path, *flags: str) -> None:

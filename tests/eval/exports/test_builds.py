@@ -48,7 +48,6 @@ int main(void)
 
 @pytest.fixture(scope="module")
 def exported(exports: Any) -> Path:
-    """Folder of `ei`, with a program that calls it."""
     folder = exports.of("ei").folder
     (folder / "main.c").write_text(MAIN.format(name="ei"))
     return folder
@@ -67,7 +66,6 @@ def ran(program: Path) -> tuple[int, list[float]]:
 
 @pytest.mark.parametrize("name", COMPILERS)
 def test_right_flags_give_the_same_torques(exported: Path, tmp_path: Path, name: str):
-    """Also where a program in C++ calls the controller."""
     program, expected = tmp_path / "program", None
     right = [(*RIGHT, *more.split()) for more in ("-O0", "-Os -fno-math-errno", "-std=gnu11", "-O3 -march=native")]
     for flags in (*right, ("-O3", "-march=native")):  # the last without -ffp-contract
@@ -126,7 +124,6 @@ def test_wrong_counts_give_no_torque(exported: Path, tmp_path: Path, compiler: t
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
 def test_all_names_begin_with_the_exports(tmp_path: Path, compiler: tuple[str, ...]):
-    """So that several exports can be in one program."""
     name, target = "Ab_2", tmp_path / "made.o"
     assert stopped(export.main, ("c", "ei", "--out", "made", "--name", name, "--no-check"), tmp_path) == (0, "")
     subprocess.run([*compiler, *RIGHT, "-c", tmp_path / "made" / f"{name}.c", "-o", target], check=True)

@@ -13,6 +13,7 @@ from commands import mistake, stopped
 
 from beltarm_env.task.seeds import dataset_arms
 from eval import export
+from eval.comparison.methods import methods_side_by_side
 from eval.exports import dataset as written
 
 minari = pytest.importorskip("minari")
@@ -103,6 +104,14 @@ def test_metadata(dataset: Any, monkeypatch: pytest.MonkeyPatch):
     env = dataset.recover_environment(eval_env=True)
     assert env.spec.kwargs == {"randomization": "train", "sensors": "encoder"}
     assert env.observation_space == dataset.observation_space and env.action_space == dataset.action_space
+
+
+def test_controllers_of_one_name_are_told_apart(tmp_path: Path):
+    given = [f"{tmp_path / name}.py:Runaway" for name in ("a", "b")]
+    for spec in given:
+        Path(spec.partition(":")[0]).write_text(RUNAWAY)
+    names = [name for name, _ in methods_side_by_side(["paper", *given], [])]
+    assert names == ["paper", *(f"Runaway ({spec.partition(':')[0]})" for spec in given)]
 
 
 def test_an_episode_is_the_same_in_any_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -51,8 +51,6 @@ def unpacked(path: Path) -> tuple[Path, Any]:
 
 
 class Slave:
-    """Instance of the FMU, which logs into `said`."""
-
     def __init__(self, unpacked: tuple[Path, Any], said: list[str]) -> None:
         folder, description = unpacked
         self.said, self.callbacks = said, fmi2CallbackFunctions()

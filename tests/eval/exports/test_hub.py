@@ -4,12 +4,14 @@ import hashlib
 import json
 import os
 import pickle
+import re
 import runpy
 import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ from eval import export
 from eval.comparison.sets import choose_set
 from eval.exports import hub
 from eval.exports.hub import CONFIG, FILM, MODEL, PUBLISHED, bibtex
+from eval.exports.scores import Scores, markdown, scores_of
+from eval.report.table import Results
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
@@ -36,11 +40,11 @@ def published() -> dict[str, Any]:
     return json.loads(PUBLISHED.read_text(encoding="utf-8"))
 
 
-def written(path: Path, **changes: Any) -> Path:
+def written(path: Path, episodes: int = EPISODES, **changes: Any) -> Path:
     """The published results, as if of few scenarios, so that a policy is soon run on them."""
     content = {**published(), **changes}
     for row in content["rows"]:
-        row |= {"episodes": EPISODES, "moves": min(row["moves"], MOVES)}
+        row |= {"episodes": episodes, "moves": min(row["moves"], MOVES)}
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
@@ -55,7 +59,6 @@ def refusal(*arguments: str, folder: Path) -> str:
 
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
-    """A user's policy."""
     bundle.save_bundle(tmp_path / "own", SPEC, new_weights())
     return tmp_path / "own"
 
@@ -73,7 +76,7 @@ def test_folder_of_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cap
 
     scenarios = choose_set("test").splits["shift"].shortened(MOVES).arguments(slice(EPISODES))
     run = rollout(bundle.load_controller(folder), EPISODES, **scenarios)
-    reward = -run.over_moves(run.cost)
+    reward = -run.cost.reshape(MOVES, EPISODES).sum(axis=0)
     mean_reward = f"{np.mean(reward):.2f} +/- {np.std(reward):.2f}"
     card = huggingface_hub.ModelCard.load(folder / CARD)
     assert (card.data.license, card.data.library_name) == ("mit", "stable-baselines3")
@@ -110,6 +113,26 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     card = huggingface_hub.ModelCard.load(out / CARD)
     assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"] and "`my-ppo`" in card.text
     assert "no classical controller" in card.text and not (out / "left.txt").exists()
+
+
+def test_the_card_claims_no_more_than_the_verdict():
+    content = published()
+    verdict = {row["split"]: row for row in content["primary"] if row["metric"] == "cost"}
+    for pair in content["paired"]:
+        pair["metrics"]["cost"]["p_holm"] = 0.06 if (pair["method"], pair["split"]) == ("ppo", "friction") else 0.01
+    said = {name: markdown(Scores(Results(content), "", name, np.zeros(1))) for name in ("student", "ppo")}
+    lost, lost_of_ppo = (text.split("## Scores")[0] for text in said.values())
+    for split, row in verdict.items():
+        words = row["result"].replace("open", "no difference shown")
+        assert re.search(rf"\| {split} \|.*: {words} \|", said["student"])
+        assert (f"`{split}`" in lost) == (row["result"] == "open" or abs(row["relative"]) < 0.03)
+    assert "`friction`" in lost_of_ppo and "`shift`" not in lost_of_ppo
+
+
+def test_the_reward_is_of_no_more_scenarios_than_a_set_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("eval.exports.scores.rollout", ran := MagicMock())
+    scores_of(POLICY, read_spec(POLICY)[1]["sha256"], written(tmp_path / "many.json", 300))
+    assert ran.call_args.args[1] == len(ran.call_args.kwargs["seed"]) == 200
 
 
 def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

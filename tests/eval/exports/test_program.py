@@ -37,7 +37,6 @@ def identity(source: object) -> str | None:
 
 
 def blocks(language: str) -> list[str]:
-    """Blocks of a language on the page."""
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
@@ -136,7 +135,6 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
 
 
 def write(*arguments: str, cwd: Path) -> dict[str, Any]:
-    """Export C into the folder `made`; return the manifest."""
     assert stopped(export.main, ("c", *arguments, "--out", "made"), cwd) == (0, "")
     return json.loads((cwd / "made" / MANIFEST).read_text())
 
@@ -163,6 +161,15 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "k_my_law" in (tmp_path / "made" / "my_servo.c").read_text()
     assert {path.name for path in (tmp_path / "made").glob("*.[ch]")} == {"my_servo.c", "my_servo.h", "in_the_loop.c"}
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_a_law_that_is_another_from_its_second_move_on_is_found_out(compiler: Any, tmp_path: Path):
+    own = "class Tired(MyServo):\n    def predict(self, observation, state=None, *more, **named):\n"
+    own += "        self.calls = 0 if state is None else self.calls + 1\n"
+    own += "        action, state = super().predict(observation, state, *more, **named)\n"
+    own += "        return action * (1.0 if self.calls < 1200 else 0.5), state\n"
+    (tmp_path / "own.py").write_text(f"{(EXAMPLES / 'my_servo.py').read_text()}\n\n{own}")
+    assert "differ" in mistake(export.main, ("c", "own.py:Tired", "--episodes", "1", "--out", "made"), tmp_path)
 
 
 def test_users_files_are_not_replaced(tmp_path: Path):

@@ -135,7 +135,6 @@ def test_refused(number: int, tmp_path: Path):
 
 
 def value_of(name: str, argument: Any) -> Scalar | Array:
-    """Argument of an exported program, where shapes of arrays are known."""
     if isinstance(argument, np.ndarray):
         return Array(dtype_of(argument.dtype), argument.shape, contiguous(argument.shape), name, memory=name)
     return Scalar(dtype_of(type(argument)), name)
