@@ -103,14 +103,18 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: 
     Raises:
         TranslationError: If it cannot be translated.
     """
-    program = Program(runs_here=True, checked=checked)
-    program.taken.update(_TAKEN)
-    scope = Function(program, {}, {}, source=function)
-    taken = _Taken(scope)
     names = [*inspect.signature(function).parameters, *("more" for _ in arguments)]
-    values = [taken.value(name, argument) for name, argument in zip(names, arguments, strict=False)]
-    given = _Given(scope, {array.memory for array in taken.arrays}, values[-1] if values else None)
-    result = given.give(program.call(scope, function, values))
+    kinds, negative = dict[str, Any](), set[str]()
+    while True:  # until no variable of a kernel that is written out here changes its type any more
+        program = Program(runs_here=True, checked=checked)
+        program.taken.update(_TAKEN)
+        scope = Function(program, {}, {}, kinds, negative, source=function)
+        taken = _Taken(scope)
+        values = [taken.value(name, argument) for name, argument in zip(names, arguments, strict=False)]
+        given = _Given(scope, {array.memory for array in taken.arrays}, values[-1] if values else None)
+        result = given.give(program.call(scope, function, values))
+        if not scope.changed:
+            break
     text = "\n".join([*program.struct_texts, *program.used_tables(), *program.texts])
     lines = without_unused(scope)
     fails = checked or any(

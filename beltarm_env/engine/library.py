@@ -16,6 +16,7 @@ import ctypes
 import json
 import multiprocessing
 import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -35,6 +36,7 @@ _PROJECT = ("beltarm_env", "baselines", "agents")
 """Packages whose sources decide about their kernels: what these read of files is no part of a kernel."""
 ANNOUNCEMENT = "beltarm: compiling kernels, which takes some seconds"
 _OLD = 30 * 24 * 3600.0  # s
+_OWN = re.compile(r"\w+\.[0-9a-f]{32}\.(so|dll|c|lock)|[0-9a-f]{16}/[0-9a-f]+\.json")  # files in the cache folder
 Types = tuple[str, tuple[Any, ...]]
 
 
@@ -149,7 +151,8 @@ def _drop_old(folder: Path) -> None:
     """Delete what was compiled long ago: after many edits most of it is of no use, and the rest is built again."""
     for path in (*folder.glob("*"), *folder.glob("*/*.json")):
         with suppress(OSError):  # another process was quicker
-            if path.is_file() and path.stat().st_mtime < time.time() - _OLD:
+            own = _OWN.fullmatch(path.relative_to(folder).as_posix())  # the folder may be a user's, with other files
+            if own and path.is_file() and path.stat().st_mtime < time.time() - _OLD:
                 path.unlink()
 
 

@@ -98,14 +98,9 @@ def eval_results(scores: Scores) -> list["EvalResult"]:
 
     entries = []
     for split, row in scores.rows.items():
-        common: dict[str, Any] = {
-            "task_type": "reinforcement-learning",
-            "task_name": "reinforcement-learning",
-            "dataset_type": ENVIRONMENT,
-            "dataset_name": f"{ENVIRONMENT} {split}",
-            "dataset_config": split,
-            "dataset_split": scores.results.label.name,
-        }
+        common: dict[str, Any] = dict.fromkeys(("task_type", "task_name"), "reinforcement-learning")
+        common |= {"dataset_type": ENVIRONMENT, "dataset_name": f"{ENVIRONMENT} {split}"}
+        common |= {"dataset_config": split, "dataset_split": scores.results.label.name}
         if not entries:
             name = "mean_reward"
             entries.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))

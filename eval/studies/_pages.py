@@ -49,17 +49,10 @@ class Page:
         return RESULTS / self.name
 
 
+_OF_COMPARISON = STARTS, MEASURES, "results.json", ("report.html", "episodes.csv")
 OTHERS = (
     Page("bench", "eval.speed.bench", ("eval/bench.py",)),
-    Page(
-        "comparison",
-        "eval.report.summary",
-        ("eval/compare.py",),
-        STARTS,
-        MEASURES,
-        "results.json",
-        ("report.html", "episodes.csv"),
-    ),
+    Page("comparison", "eval.report.summary", ("eval/compare.py",), *_OF_COMPARISON),
 )
 """Pages of commands that are no studies."""
 

@@ -279,7 +279,6 @@ def test_ppo_begins_with_what_the_teacher_taught(whole_taught: TrainingMonitor, 
 
 
 def test_a_run_stopped_in_either_part_goes_on_as_if_it_had_not_been(whole_taught: TrainingMonitor, tmp_path: Path):
-    """And its policies are those of PPO."""
     folder = whole_taught.config.out
     spec, _ = read_spec(folder / "last")
     assert (spec.algorithm, spec.standardised, spec.gru) == ("ppo", True, 0)

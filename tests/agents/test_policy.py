@@ -101,7 +101,6 @@ MORE = {
 
 @pytest.mark.parametrize("name", [*SHAPES, *MORE])
 def test_residuals_and_states_of_a_model_are_the_policys(name: str):
-    """Through whole episodes, by the evaluator of ONNX."""
     shape = {**SHAPES, **MORE}[name]
     actor = lively(shape)
     policy, memory, expected = NetworkPolicy(actor.weights()), None, []

@@ -99,7 +99,6 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_a_residual_of_zero_is_the_base():
-    """For one arm and as a controller; that a batch is single arms is looked at below."""
     env, expected, total, truncated = single_env(), base_run(5), 0.0, False
     arm: Any = env.unwrapped
     env.reset(seed=30)

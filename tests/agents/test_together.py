@@ -45,7 +45,6 @@ def folders(name: str, seeds: int) -> list[Path]:
 
 @pytest.mark.parametrize("name", ["ppo", "student"])
 def test_each_has_its_own_rows_and_memory(name: str):
-    """Also where some rows begin an episode and others go on."""
     several = load_controller(*folders(name, 2)).policy
     alone = [load_controller(folder).policy for folder in folders(name, 2)]
     rng, inputs = np.random.default_rng(0), len(read_spec(folders(name, 1)[0])[0].offered())

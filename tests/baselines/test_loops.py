@@ -122,7 +122,6 @@ def usual(name: str) -> Any:
 @pytest.mark.parametrize("name", CONTROLLERS)
 class TestMargins:
     def test_are_those_of_the_frequency_response(self, name: str):
-        """As python-control has it, on a fine grid."""
         loop = loop_at(usual(name), 30, CORNERS["payload, soft"])
         actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 8000)
         law, plant = (np.asarray(as_control(each)(np.exp(1j * turns))) for each in loop)

@@ -141,7 +141,6 @@ class TestReplanning:
         return PlanCache.empty(np.zeros_like(now.logs)).begun(np.ones(len(now.logs), np.bool_), now, TASK_WEIGHTS)
 
     def test_arms_that_begin_alike_share_a_plan_that_is_the_one_of_each(self):
-        """One whose command acts later has another."""
         now, later = (self.situation(0, 0.0, 0.0, 0.0) for _ in range(2))
         later.time[1] += 0.1
         parts: Any = map(np.concatenate, zip(astuple(now)[:-1], astuple(later)[:-1], strict=True))

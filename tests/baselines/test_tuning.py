@@ -269,7 +269,6 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
 
 
 def test_a_resumed_search_keeps_options_it_is_not_given(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
-    """Its budget, the margins that it does without, and the file of its gains."""
     name, other = NAMES
     limits = ("--moves", "1", "--budget", str(MIN_BUDGET + BATCH))
     options = ("--no-margins", *limits, "--seed", "3", "--out", "gains.json")

@@ -289,7 +289,6 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):
-    """A part that was kept without it is run again."""
     costs = np.array([100.0, 100.0, 100.0, 300.0])
     assert sensitive(costs, np.array([100.9, 101.1, 98.9, 300.0])).tolist() == [0, 1, 1, 0]
     plain, perturbed = measure(part()), replace(part(), perturbed=True)

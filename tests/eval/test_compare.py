@@ -75,7 +75,6 @@ def test_everything_is_written_and_names_the_scenarios(compared: tuple[Path, str
 
 
 def test_rows_and_pairs_of_the_results(results: dict[str, Any]):
-    """There are pairs of all methods but the privileged one, which is not ranked."""
     kinds = {"paper": "classical", "ei": "classical", "ppo": "learned", "privileged": "privileged"}
     assert [(row["split"], row["method"]) for row in results["rows"]] == [*product(BOTH, METHODS)]
     for row in results["rows"]:

@@ -6,7 +6,6 @@ from eval.studies.loops import NONE_LEFT, scan
 
 
 def test_the_worst_margins_are_those_of_the_condition():
-    """An unstable loop has none."""
     found, least, unstable = scan(CONTROLLERS["ei"]()), least_margins(CONTROLLERS["ei"]()), scan(CONTROLLERS["paper"]())
     for name in ("modulus", "delay"):
         worst = found["worst"][name]

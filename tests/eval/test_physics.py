@@ -36,7 +36,6 @@ def test_kernel_and_mujoco_agree_with_the_event_located_solution():
 
 
 def test_difference_shrinks_with_the_solver_settings():
-    """Also behind a drive; without friction it stays within a tenth of a millimetre."""
     (motion,) = motions("stick-slip", 1, 4_000_000)
     own, no_creep, quick = (distance(motion, 2, **setting) for setting in list(SETTINGS.values())[3:])
     best = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (1, 2, 4)]

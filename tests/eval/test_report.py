@@ -114,7 +114,6 @@ def measured(name: str, split: Split) -> MethodOutcome:
 
 
 def test_scenes_are_of_chosen_scenarios_and_what_was_measured():
-    """A run that is not the measured one is not drawn."""
     paper, zvd = (measured(name, SPLITS_SHOWN["nominal"]) for name in ("paper", "zvd"))
     scenes, traces, failures = record_scenes(made(paper, zvd), SPLITS_SHOWN, 1)
     costs = zvd.metrics["cost"][0].copy()

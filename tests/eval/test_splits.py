@@ -206,7 +206,6 @@ def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
 
 
 def test_protocol_lists_commits_that_are_there():
-    """What changed after the results, the committed results among it."""
     named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7,8}\b", PROTOCOL.split(CHANGES)[1])))
     results = json.loads((ROOT / "docs/results/comparison/results.json").read_text(encoding="utf-8"))
     assert results["provenance"]["commit"] in named

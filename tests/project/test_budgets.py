@@ -22,7 +22,6 @@ def is_command(path: Path) -> bool:
 
 @pytest.mark.parametrize("folder", LINES)
 def test_lines(folder: str):
-    """As `wc -l` counts them."""
     assert sum(path.read_bytes().count(b"\n") for path in sources(ROOT / folder)) <= LINES[folder]
 
 
@@ -40,7 +39,6 @@ def test_documents():
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_of_a_folder(package: str):
-    """Beside commands and `__init__`."""
     for folder in {path.parent for path in sources(ROOT / package)}:
         inside = [path for path in folder.glob("*.py") if path.name != "__init__.py" and not is_command(path)]
         assert len(inside) <= MODULES, f"{folder.relative_to(ROOT)} has {len(inside)} modules"

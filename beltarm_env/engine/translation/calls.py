@@ -91,6 +91,7 @@ class Calls(Expressions):
             changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
             make = make_of(owner)
             if make is not None:
+                _require_known(changed, make._fields)
                 old = dict(zip(make._fields, parts_of(owner), strict=True))
                 return self.tuple_of([changed.get(name, old[name]) for name in make._fields], make)
         return None
@@ -151,12 +152,19 @@ class Calls(Expressions):
             self.write(f"{'    ' * depth}}}")
 
 
+def _require_known(named: dict[str, Value], names: tuple[str, ...]) -> None:
+    """Refuse keywords that Python would refuse."""
+    if unknown := set(named) - set(names):
+        raise TranslationError(f"there is no parameter {min(unknown)} to be set by name")
+
+
 def _ordered(
     names: tuple[str, ...], defaults: dict[str, Any], given: list[Value], named: dict[str, Value]
 ) -> list[Any]:
     """Arguments in the order of the parameters."""
     if len(given) > len(names):
         raise TranslationError(f"{len(given)} arguments for {len(names)} parameters")
+    _require_known(named, names[len(given) :])
     values = list(given)
     for name in names[len(given) :]:
         if name in named:

@@ -217,6 +217,7 @@ class Program:
             for argument, kind, value in zip(tree.args.args, kinds, values, strict=True):
                 body.names[argument.arg] = self._parameter(body, argument.arg, kind, value, parameters, memory)
             try:
+                _own_variables(body, [name for name, value in body.names.items() if isinstance(value, Const | Group)])
                 body.finish(body.block(tree.body))
             except TranslationError as error:
                 raise placed(error, function, body.line) from None
@@ -303,6 +304,7 @@ class Program:
         caller.places, caller.forms, caller.assigned, caller.source = {}, {}, assignments(tree), function
         caller.kinds = caller.kinds.setdefault(f"<{function.__name__} {caller.counter}>", {})
         try:
+            _own_variables(caller, list(caller.names))
             caller.block(body)
             return caller.value(last.value)
         except TranslationError as error:
@@ -310,6 +312,13 @@ class Program:
         finally:
             for name, value in of_caller.items():
                 setattr(caller, name, value)
+
+
+def _own_variables(body: Statements, parameters: list[str]) -> None:
+    """Give variables of their own to parameters that the function assigns again."""
+    for name in parameters:
+        if body.often(name):
+            body.assign(ast.Name(name), body.names[name])
 
 
 _OF_A_BODY = ("names", "outside", "line", "places", "forms", "assigned", "source", "kinds")

@@ -24,6 +24,8 @@ def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
         source = textwrap.dedent(inspect.getsource(function))
     except OSError:
         raise TranslationError(f"{function.__name__} has no source text that could be translated") from None
+    if inspect.unwrap(function).__code__ is not function.__code__:
+        raise TranslationError(f"{place(function)} is wrapped by a decorator, which would be left out")
     tree = ast.parse(source).body[0]
     if not isinstance(tree, ast.FunctionDef) or tree.args.vararg or tree.args.kwarg:
         raise TranslationError(f"{place(function)} is not a plain function")

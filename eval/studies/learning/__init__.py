@@ -28,17 +28,8 @@ from eval.studies._frame import Bounds, Pictures, StudyOptions
 from eval.studies.learning import bins, limits
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
-QUICK = {
-    "only": ("default",),
-    "samples": 5_000,
-    "seeds": 1,
-    "arms": 4,
-    "runs": Path("runs/ablations-quick"),
-    "bins": 1,
-    "bin_arms": 1,
-    "advice_arms": 2,
-    "jobs": 1,
-}
+QUICK: dict[str, Any] = {"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "jobs": 1}
+QUICK |= {"bins": 1, "bin_arms": 1, "advice_arms": 2, "runs": Path("runs/ablations-quick")}
 
 
 @dataclass(frozen=True)

@@ -151,8 +151,7 @@ class Run:
         """Train, going on where an interrupted run stopped, and score the last policy on some arms.
 
         Raises:
-            ValueError: If the training fails, with its own message, or the folder holds another run, or one that other
-                code or gains began.
+            ValueError: If the training fails, with its own message, or the folder holds another run or other code's.
         """
         begun, code = RunFolder(self.folder).checkpoint.exists(), self.folder.with_suffix(".code")
         if begun and (not code.exists() or code.read_text(encoding="utf-8") != training_digest()):

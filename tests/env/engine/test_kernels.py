@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from recording_calls import contents, copied
+from refusals import refused
 
 from beltarm_env.engine import PLAIN, bound, building, compiled, in_threads, inlined, kernels
 
@@ -145,9 +146,8 @@ def test_names_that_are_given_alone_and_that_c_has_for_other_things(capsys: pyte
 
 
 def test_lengths_that_do_not_fit_are_an_error_and_leave_nothing():
-    for row, other, count in ((ROW, ROW[:3], 8), (ROW, ROW, 7), (ROW[:3], ROW[:3], 0)):
-        with pytest.raises(ValueError, match=r"added, .*test_kernels\.py"):
-            added(row, other, count)
+    for given in ((ROW, ROW[:3], 8), (ROW, ROW, 7), (ROW[:3], ROW[:3], 0)):
+        refused(ValueError, ("added, ", "test_kernels.py"), lambda given=given: added(*given))
     assert (added(ROW, ROW, 8) == 2 * ROW).all()
 
 
@@ -157,8 +157,7 @@ def test_first_arguments_are_bound_and_others_have_their_types():
     whole = bound(total, (), ROW)
     assert whole(ROW[:3]) == total(ROW[:3]) and bound(max, (3,), 2)(4) == 4
     for other in (ROW[::2], ROW.astype(np.float32), GRID, 1.0, read_only(ROW.copy())):
-        with pytest.raises(TypeError, match="argument 0"):
-            whole(other)
+        refused(TypeError, ("argument 0",), lambda other=other: whole(other))
     for others, words in (((1.0,), "argument 1"), ((), "2 arguments are expected, not 1"), ((1, 2), "not 3")):
         with pytest.raises(TypeError, match=words):
             run(*others)
@@ -196,8 +195,7 @@ def test_in_threads_equal_words_are_one_and_what_does_not_fit_is_named():
         in_threads(filled, 2, row, word)
         assert row.tolist() == [1.0, 1.0]
     unaligned = np.zeros(17, np.uint8)[1:].view(np.float64)
-    with pytest.raises(TypeError, match=r"argument 1: .*not aligned"):
-        in_threads(filled, 2, unaligned, "one")
+    refused(TypeError, ("argument 1: ", "not aligned"), lambda: in_threads(filled, 2, unaligned, "one"))
 
 
 def made(gain: float, of: Any) -> Any:

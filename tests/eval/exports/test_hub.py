@@ -145,7 +145,6 @@ def test_other_sensors_and_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_refusals(own: Path, tmp_path: Path):
-    """Names and folders that are not allowed, and results that are not of the policy."""
     provenance = published()["provenance"]
     fewer = written(tmp_path / "fewer.json", provenance={**provenance, "policies": provenance["policies"][:-1]})
     other = written(tmp_path / "other.json", scenario_set={"name": "test", "sha256": "0" * 64})

@@ -97,6 +97,27 @@ def slices_cut(a: Any, start: int, stop: int) -> tuple[int, ...]:
     return len(part), len(a[start:]), len(part[:-1]), len(part[-2:]), len(a[-10:]), len(a[:-10]), len(a[5:99])
 
 
+def cut_and_kept(x: float, of: Any) -> Any:
+    k, kept = 0, np.empty(3)
+    if x < 0.0:
+        x, of = 0.0, of._replace(times=5)
+    for i in range(3):
+        kept[i] = x + of.row[k] + of.times
+        k -= 1
+    return kept
+
+
+def times_of(of: Any, x: float) -> float:
+    if x < 0.0:
+        of = of._replace(times=5)
+    return of.times * of.row[0]
+
+
+@case((row(4), -1.0), (row(4), 2.0))
+def parameters_assigned_again(a: Any, x: float) -> Any:
+    return cut_and_kept(x, Inner(a, 3)), times_of(Inner(a, 3), x)
+
+
 def next_place(counter: Any) -> int:
     counter[0] += 1
     return counter[0] - 1
