@@ -110,7 +110,6 @@ class TestSaved:
 
 @pytest.mark.parametrize("files_written", [0, 1])
 def test_a_policy_that_is_not_replaced_stays_valid(bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int):
-    """The disk fills up at the card, or between the card and the policy."""
     before, full = (bundle / POLICY_FILE).read_bytes(), OSError(errno.ENOSPC, "No space")
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", Mock(wraps=os.replace, side_effect=[*[DEFAULT] * files_written, full]))
@@ -213,7 +212,6 @@ def test_descriptions_with_wrong_values_are_refused(bundle: Path, changes: dict[
 
 
 def test_a_base_has_the_gains_that_it_had_in_training_or_is_refused(bundle: Path):
-    """Whatever gains the checkout has; they stay with the policy when its card is written again."""
     settings = read_spec(bundle)[1]["base_settings"]
     settings["gains"]["angle"] = 1.0
     edit(bundle, base_settings=settings, base_hash=settings_hash(settings))

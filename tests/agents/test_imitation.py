@@ -219,7 +219,6 @@ def test_what_is_left_is_a_policy_with_its_score(whole: tuple[Path, list[int]]):
 
 
 def test_more_rounds_go_on_from_the_last(tmp_path: Path):
-    """With a learning rate that falls to another end; and progress is reported."""
     reports, config = list[News](), tiny("student", tmp_path, rounds=1)
     run(config, report=reports.append)
     assert (steps := [news.steps for news in reports]) == sorted(steps) and (steps[0], steps[-1]) == (0, config.length)

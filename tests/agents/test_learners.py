@@ -167,7 +167,6 @@ def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
 
 
 def test_a_search_interrupted_again_and_again_is_the_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
     monkeypatch.setattr(tuning, "train", train_at_once)
 
     def begun_again(config: TuningConfig, looks: int) -> None:

@@ -55,7 +55,6 @@ def test_residuals_are_those_of_the_library(name: str):
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(1, 40), st.integers(0, 1000))
 def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: int):
-    """Rows turned round, and cut where the kernel's tiles do not end."""
     policy, seen = NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], count, 3, seed)
     whole = answers(policy, seen)
     for rows in (slice(None, None, -1), slice(1 + count // 3), slice(-1, None)):

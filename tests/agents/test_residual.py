@@ -162,7 +162,6 @@ def test_a_move_that_begins_with_the_sample_in_which_another_episode_ends():
 
 
 def test_what_the_agent_observes():
-    """The observation, the base's torque, and what the identification makes of the encoder."""
     batch, identifier, plain = many(3), tuned_identifier(), BeltArmVectorEnv(3, **ARMS)
     base, memory, belief, unexplained, commands = CONTROLLERS["paper"](), None, None, list[Any](), list[Any]()
     observations, seen = batch.reset(), plain.reset(seed=30)[0]
@@ -254,7 +253,6 @@ def test_staggering_spreads_the_arms_over_the_episode(count: int, hold: int):
 
 
 def test_staggered_arms_go_on_as_if_they_had_been_alone():
-    """After its restart each arm is a fresh episode under the base, whose memory restarted too."""
     batch = many(4, stagger=True)
     observations = batch.reset()
     steps = np.rint(observations[:, index("elapsed_time")] / 0.0015).astype(int)

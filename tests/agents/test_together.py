@@ -74,7 +74,6 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
 
 
 def test_a_comparison_runs_training_seeds_together():
-    """Behind the guard, on a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"].shortened(2), 3
     several = learned_methods(folders("student", 2))[0].with_guard()
     actual = measure(Part(several, split, episodes))

@@ -153,7 +153,6 @@ def test_gains_are_those_of_a_filter_that_also_keeps_the_state_before():
 
 
 def test_preview_measures_the_zero_g_output_once_an_episode():
-    """A further move of a shift begins while the arm still rings."""
     make, env = WITH_ACCELEROMETER["preview"], batch(4, moves=2, sensors="accelerometer", randomization="train")
     first, last = (memory_after(make(), env, steps, seed=SEED).rows[:, -3:-1] for steps in (1, EPISODE_STEPS + 2))
     assert np.array_equal(first, last) and np.abs(first).max() < BIAS + 0.2

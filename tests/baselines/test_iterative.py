@@ -120,7 +120,6 @@ def test_linearisation_predicts_what_the_drive_does():
 
 
 def test_linearisation_of_a_motor_that_gives():
-    """It slides, comes to rest on its spring, and rests: the linear problem predicts it, and does not grow."""
     arm = replace(design_model(), presliding_deflection=0.002, friction_drift=0.0)
     torques = np.concatenate([np.full(30, 0.08), np.full(30, -0.06), np.full(60, 0.01)])
     states, count = simulated(arm, torques, 62.0), len(torques)

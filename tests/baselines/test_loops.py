@@ -185,7 +185,6 @@ def late_arm(params: ArmParams, theta_1: float, samples: float) -> System:
 @pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
 @pytest.mark.parametrize("name", TUNABLE)
 def test_a_loop_bears_its_delay_margin_and_no_more(name: str, arm: str, k: int):
-    """By poles of the loop with more latency, exactly sampled, for any part of a sample."""
     actual, law = margins(loop_at(untuned(name), k, CORNERS[arm])), law_system(law_of(untuned(name), k))
     assert actual.stable
     for share in (0.0, 0.3, 0.6, 0.95, 1.05):

@@ -194,7 +194,6 @@ def test_a_short_problem_ends_at_the_least_cost_from_anywhere():
 
 
 def test_a_drive_is_met_as_it_is_built():
-    """With stick and slip, latency and all, the cost is that of the replay, and torques nearby cost more."""
     env, rng = BeltArmVectorEnv(1, randomization="train"), np.random.default_rng(0)
     env.reset(seed=5_000_004)
     (params,), (move,) = env.params, [MoveShape(*row) for row in env.moves.tolist()]

@@ -70,7 +70,6 @@ class TestWriting:
 
 
 def test_what_is_no_regular_file_is_refused(tmp_path: Path):
-    """A pipe would be waited for, and a device has no end."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "device").symlink_to("/dev/zero")
     for read in (read_results, sets.load, gains.read_file, files.read_sealed):

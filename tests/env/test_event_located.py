@@ -154,7 +154,6 @@ class TestLuGre:
         assert apart[2] < 0.01 * np.ptp(located[:, :, 0], axis=0).max()
 
     def test_bristle_gives_way_by_its_deflection(self):
-        """Half the breakaway torque, slowly, turns a motor at rest by ln 2 times the deflection."""
         env = BeltArmVectorEnv(1, autoreset_mode="Disabled")
         env._batch.engine = LuGreArms(env._batch, 2e-3)
         env.reset(seed=0, options={"params": {"belt_stiffness": 1e-3, "motor_viscous_friction": 0.0}})

@@ -152,7 +152,6 @@ class TestDraws:
             env.step(STILL)
 
     def test_arms_that_a_shift_makes_too_fast_are_refused(self):
-        """Their friction may grow by a quarter, or by the drift of their first move."""
         for viscous, drift in ((1.9, 0.0), (1.5, 0.45)):
             arm = {"motor_viscous_friction": viscous, "friction_drift": drift}
             ranges = {name: (value, value) for name, value in arm.items()}

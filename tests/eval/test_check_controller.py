@@ -127,7 +127,6 @@ def test_the_example_passes_as_a_user_runs_it(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_failure_names_its_place_and_shows_its_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Also where the module is found beside the user, and where its process ends."""
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        raise KeyError('gain')\n")
     (tmp_path / "worse.py").write_text("import json\nraise RuntimeError('not today')\n")
     (tmp_path / "ends.py").write_text("import os\nclass Bad:\n    def predict(self, *_, **__):\n        os._exit(0)\n")

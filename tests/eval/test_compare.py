@@ -181,7 +181,6 @@ def test_claims_that_cannot_be_verified_are_refused(part: str, value: Any, named
 
 
 def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Results of more policies are not replaced, and those of the run are verified and no others."""
     content = json.loads(json.dumps(results))
     content["provenance"]["command"] += f" --policy {POLICIES / 'ppo' / 'seed4'}"
     for row in content["rows"]:

@@ -54,7 +54,6 @@ class TestLoop:
 
 
 def test_ringing_of_a_sinusoid():
-    """Phases do not see each other, and without a cruise there is none in it."""
     time, speed = (1 + np.arange(1200)) * CONTROL_PERIOD, np.zeros((1200, 3, 2))
     speed[:, 0] = np.sin(20 * time)[:, None] * [0.3, 0.4]  # acceleration of amplitude 6 along x and 8 along y
     speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration

@@ -69,7 +69,6 @@ def test_scores_of_errors_that_are_known():
 
 
 def test_observers_correct_the_filter_and_know_how_well():
-    """On working shifts, which they are fitted to: of all that is estimated they tell more."""
     scores = scores_of("adaptive", watchers(), development_set().splits["shift"], 8)
     corrected, alone, known = (scores[name] for name in ("learned on the filter", "learned alone", "filter"))
     assert (corrected.rms / known.rms).max() < 1.0 and 0.62 < corrected.within_one.mean() < 0.76

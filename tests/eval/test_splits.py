@@ -177,7 +177,6 @@ def few_drawn(name: str, seeds: SeedRange) -> ScenarioSet:
 
 
 def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """And of how its arms move, so that a changed physics is noticed."""
     read, drawn = load(frozen), few_drawn("test", arms_chosen_by(MADE_UP))
     monkeypatch.setattr(scenarios, "FILE", frozen)
     assert choose_set().label == choose_set("test").label == read.label == drawn.label

@@ -45,7 +45,6 @@ def test_mistakes_are_one_line(name: str, tmp_path: Path):
 
 @pytest.mark.parametrize("page", _pages.pages(), ids=lambda page: page.name)
 def test_the_committed_page_comes_from_the_committed_data(page: _pages.Page):
-    """And so do those parts of the README that are the comparison's."""
     data = _frame.read_data(page.committed, page.data)
     written = (page.committed / "page.md").read_text(encoding="utf-8")
     assert written == _frame.text_of(page.name, importlib.import_module(page.module), data)

@@ -200,7 +200,6 @@ def test_doing_nothing_is_not_better_at_anything():
 
 @pytest.mark.parametrize(("away", "compared"), [(0.1, 22), (0.5, 12)])
 def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
-    """In the other scenarios Zero has no vibration at all; with fewer than 20 of them nothing is decided."""
     lazy = still(away)
     lazy.metrics["residual_pp_mm"][:] = np.where(lazy.metrics[NOT_ARRIVED] > 0, 0.0, 300.0)
     lazy = outcome_of(lazy.method, "nominal", lazy.metrics, (1.0, 1.0))

@@ -147,7 +147,6 @@ print(envs.step(numpy.zeros((2, 1)))[0].shape)
 
 @pytest.mark.slow
 def test_installed_wheel_runs_an_episode_elsewhere(built: dict[str, Path], tmp_path: Path):
-    """As C, without a compiler and a cache."""
     folder = tmp_path / "installed"
     command = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--no-compile", "--target"]
     quiet = {**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}

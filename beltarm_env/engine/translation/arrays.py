@@ -108,7 +108,13 @@ def _between(start: Size, stop: Size) -> Size:
     prefix = f"({start} + "
     if isinstance(stop, str) and stop.startswith(prefix) and stop[len(prefix) : -1].isdigit():
         return int(stop[len(prefix) : -1])
-    return f"int_max({bare(text(stop))} - {start}, 0)"
+    return f"int_max({operand(text(stop))} - {start}, 0)"
+
+
+def operand(code: str) -> str:
+    """Text of a size beside an operator, in the parentheses that it needs there."""
+    stripped = bare(code)
+    return code if re.search("[&|^?<>]", stripped) else stripped
 
 
 def count_of(shape: tuple[Size, ...]) -> Size:

@@ -47,13 +47,21 @@ class Assignments(Calls):
             if isinstance(value, Record) and self.changes(value):
                 parts = parts_of(self.held(value))
             if isinstance(value, Group) and not self._independent(target.elts, parts):  # all before the first
-                parts = [self.held(part) for part in parts]
+                parts = [self.computed(part) for part in parts]
             for one, part in zip(target.elts, parts, strict=True):
                 self.assign(one, part)
         elif isinstance(target, ast.Subscript):
             self.put(self.place_of(target), value)
         else:
             raise TranslationError(f"nothing is assigned to {ast.unparse(target)}")
+
+    def computed(self, value: Value) -> Value:
+        """Compute a value now, as `held` does, and the elements of an array expression too."""
+        if not isinstance(value, Lazy):
+            return self.held(value)
+        before = self.allocate([arrays.sized(size) for size in value.shape], value.dtype)
+        self.fill(before, value)
+        return before
 
     def _independent(self, targets: list[ast.expr], parts: list[Value]) -> bool:
         """Tell whether values can be assigned one by one, for none is made of a variable that is a target too."""
@@ -108,7 +116,8 @@ class Assignments(Calls):
                 return
             value = record
         if isinstance(value, Array):
-            if value.code.isidentifier() and once and not value.in_loop and not self.changes(value):
+            moves = self.loops > 0 and value.code in self.locals  # with each turn
+            if value.code.isidentifier() and once and not (moves or value.in_loop or self.changes(value)):
                 self.names[name] = value
                 return
             if value.in_loop and not once:

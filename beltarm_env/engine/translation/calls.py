@@ -144,7 +144,7 @@ class Calls(Expressions):
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             kind = INT if isinstance(size, str) else SMALL
-            self.write(f"{indent}for ({kind} {name} = 0; {name} < {bare(arrays.text(size))}; ++{name}) {{")
+            self.write(f"{indent}for ({kind} {name} = 0; {name} < {arrays.operand(arrays.text(size))}; ++{name}) {{")
         number = value.at(names) if isinstance(value, Lazy) else value
         place = arrays.element(target, names)
         self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")

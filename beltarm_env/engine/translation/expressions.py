@@ -87,6 +87,8 @@ class Expressions(Scope):
             owner = self.table(known, owner.name if isinstance(owner, Const) else "")
         if isinstance(owner, Array):
             found = arrays.view(owner, index)
+            if isinstance(found, Array):  # which is where it is now, whatever is written later
+                found = arrays.view(owner, [self.held(at) if reads_memory(at) else at for at in index])
             return scalar(found) if isinstance(found, Scalar) else found
         if isinstance(owner, Lazy):
             raise TranslationError(f"an array expression cannot be indexed: {ast.unparse(node)}")

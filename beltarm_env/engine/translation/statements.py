@@ -200,7 +200,7 @@ class Statements(Assignments):
 
     def _over_rows(self, statement: ast.For, array: Array) -> None:
         """Translate a loop over the entries of an array, or its rows."""
-        place = self.c_name("row")
+        array, place = self.held(array), self.c_name("row")
         length = bare(arrays.text(self.stable(array.shape[0])))
         self.write(f"for (int64_t {place} = 0; {place} < {length}; ++{place}) {{")
         row = Scalar(INT, place, (0, 2**31 - 1))
@@ -215,7 +215,7 @@ class Statements(Assignments):
     def _do_assign(self, statement: ast.Assign) -> None:
         value = self.value(statement.value)
         if len(statement.targets) > 1:
-            value = self.kept(self.held(value))
+            value = self.kept(self.computed(value))
         for target in statement.targets:
             self.assign(target, value)
 

@@ -56,7 +56,6 @@ def metadata(dataset: Any) -> list[dict[str, Any]]:
 
 
 def test_episodes_are_those_of_the_recovered_environment_bit_for_bit(dataset: Any):
-    """From the seed alone, and on a nominal environment from the options too."""
     nominal, every = gymnasium.make("BeltArm-v0"), zip(dataset, metadata(dataset), strict=True)
     for episode, about in [*every][::2]:
         for env, options in ((dataset.recover_environment(), None), (nominal, about["options"])):
@@ -90,7 +89,6 @@ def test_infos_tell_how_every_action_came_about(dataset: Any):
 
 
 def test_metadata(dataset: Any, monkeypatch: pytest.MonkeyPatch):
-    """Turns and seeds of the episodes, scores, and the environment, also where it is not registered."""
     first, known, about = dataset_arms(0).first, dataset.storage.metadata, metadata(dataset)
     assert [each["controller"] for each in about] == ["paper", "adaptive", "Runaway"] * (COUNT // 3)
     assert [each["seed"] for each in about] == list(range(first, first + COUNT))

@@ -234,7 +234,6 @@ def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any], name
 
 
 def test_calls_that_make_no_sense_are_refused(unpacked: tuple[Path, Any]):
-    """Steps of no length, or from elsewhere, and parameters that are set while the arm moves."""
     with running(unpacked) as slave:
         slave.begin(ArmParams())
         slave.step(0.0, 0.1, 0.002)

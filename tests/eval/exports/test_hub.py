@@ -90,7 +90,6 @@ def test_folder_of_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cap
 
 
 def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Without scores, and with those of a comparison in which it was the one learned method, with and without guard."""
     arguments, out = (str(own), "--out", "out", "--license", "cc0-1.0", "--repo-id", "lab/arm"), tmp_path / "out"
     share(*arguments, folder=tmp_path)
     card = huggingface_hub.ModelCard.load(out / CARD)

@@ -89,7 +89,6 @@ class Room(NamedTuple):
 
 
 def test_memory_has_one_lane_where_it_is_declared_to_have_rows_of_lanes():
-    """Under whatever name, and is refused where it is not as declared."""
     block = np.ones(7)
     found = for_one_lane(Room(np.ones((2, 3 * LANES)), block))
     assert found.anything.shape == (2, 3) and found.block is block and found.nothing is None
@@ -143,7 +142,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Writes a controller, a policy in its place, and a law of a user's own without a guard in that of the policy."""
     manifest = write("ei", "--episodes", "1", cwd=tmp_path)
     assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
     files = contents(tmp_path / "made")

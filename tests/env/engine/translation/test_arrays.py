@@ -118,6 +118,34 @@ def parameters_assigned_again(a: Any, x: float) -> Any:
     return cut_and_kept(x, Inner(a, 3)), times_of(Inner(a, 3), x)
 
 
+def first_kept(first: float, a: Any) -> Any:
+    a[0] = 0.0
+    made = np.zeros(2)
+    made[:] = first
+    return made
+
+
+@case(*((row(8), square(), k) for k in (1, 2, 3)))
+def computed_where_it_stands(a: Any, table: Any, k: int) -> tuple[float, ...]:
+    a[:4], a[4:] = a[4:] - a[:4], 2.0 * a[:4]
+    made, total, last = first_kept(a[0], a), 0.0, -1
+    for v in a[k:]:
+        total += v * k
+        k += 1
+    for i in range(len(table)):
+        here = table[i]
+        if i == 0:
+            first = here
+        total += here[0] - first[0]
+    for place, value in enumerate((made[0], total, 1.0)):
+        if value > 0.0:
+            last = place
+    buffer = np.zeros(8)
+    buffer[: k & 3] = 1.0
+    a[:3] = TABLE[int(buffer[0])]
+    return made[1], total, last, buffer[2], buffer[4]
+
+
 def next_place(counter: Any) -> int:
     counter[0] += 1
     return counter[0] - 1
