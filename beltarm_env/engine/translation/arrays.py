@@ -20,6 +20,7 @@ from beltarm_env.engine.translation.types import (
     Size,
     TranslationError,
     dtype_of,
+    reads_memory,
 )
 from beltarm_env.engine.translation.whole import natural, span
 
@@ -108,13 +109,7 @@ def _between(start: Size, stop: Size) -> Size:
     prefix = f"({start} + "
     if isinstance(stop, str) and stop.startswith(prefix) and stop[len(prefix) : -1].isdigit():
         return int(stop[len(prefix) : -1])
-    return f"int_max({operand(text(stop))} - {start}, 0)"
-
-
-def operand(code: str) -> str:
-    """Text of a size beside an operator, in the parentheses that it needs there."""
-    stripped = bare(code)
-    return code if re.search("[&|^?<>]", stripped) else stripped
+    return f"int_max({text(stop)} - {start}, 0)"
 
 
 def count_of(shape: tuple[Size, ...]) -> Size:
@@ -203,6 +198,7 @@ def over_elements(operation: Callable[..., Any], operands: list[Any], scope: Any
     Raises:
         TranslationError: If shapes differ.
     """
+    operands = [scope.held(one) if isinstance(one, Array) and reads_memory(one) else one for one in operands]
     arrays = [lazy(operand, scope.table) for operand in operands]
     shapes = [array.shape for array in arrays if array is not None]
     if not shapes:

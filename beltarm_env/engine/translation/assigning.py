@@ -47,21 +47,13 @@ class Assignments(Calls):
             if isinstance(value, Record) and self.changes(value):
                 parts = parts_of(self.held(value))
             if isinstance(value, Group) and not self._independent(target.elts, parts):  # all before the first
-                parts = [self.computed(part) for part in parts]
+                parts = [self.held(part) for part in parts]
             for one, part in zip(target.elts, parts, strict=True):
                 self.assign(one, part)
         elif isinstance(target, ast.Subscript):
             self.put(self.place_of(target), value)
         else:
             raise TranslationError(f"nothing is assigned to {ast.unparse(target)}")
-
-    def computed(self, value: Value) -> Value:
-        """Compute a value now, as `held` does, and the elements of an array expression too."""
-        if not isinstance(value, Lazy):
-            return self.held(value)
-        before = self.allocate([arrays.sized(size) for size in value.shape], value.dtype)
-        self.fill(before, value)
-        return before
 
     def _independent(self, targets: list[ast.expr], parts: list[Value]) -> bool:
         """Tell whether values can be assigned one by one, for none is made of a variable that is a target too."""
@@ -116,11 +108,10 @@ class Assignments(Calls):
                 return
             value = record
         if isinstance(value, Array):
-            moves = self.loops > 0 and value.code in self.locals  # with each turn
-            if value.code.isidentifier() and once and not (moves or value.in_loop or self.changes(value)):
+            if once and not value.in_loop and self.stays(value):
                 self.names[name] = value
                 return
-            if value.in_loop and not once:
+            if value.in_loop and (not once or self.set_without(value.memory)):
                 raise TranslationError(f"{name} keeps an array that a loop allocates in every turn: take two, by turns")
             value = self.steady(value)
             if once and value.in_loop and value.code.isidentifier():
@@ -150,7 +141,7 @@ class Assignments(Calls):
             return
         before = self.forms.get(name, self._form(self.names[name]) if name in self.names else None)
         self.forms[name] = self._form(value)
-        if self.depth and before not in (None, self.forms[name]):
+        if self.within and before not in (None, self.forms[name]):
             raise TranslationError(f"{name} becomes something else in a branch or loop: take two names")
 
     def _form(self, value: Value) -> Any:
@@ -186,8 +177,8 @@ class Assignments(Calls):
                 place = self._variable(label, kind)
                 self.write(f"{place} = {bare(self.as_record(part, kind))};")
                 part = Record(kind, place)
-            elif isinstance(part, Array) and (often or not part.code.isidentifier() or self.changes(part)):
-                if part.in_loop and often:
+            elif isinstance(part, Array) and (often or not self.stays(part)):
+                if part.in_loop and (often or self.set_without(part.memory)):
                     raise TranslationError(f"{label} keeps an array that a loop allocates in every turn")
                 part = self.steady(part)
                 kind = self.unify(label, type_of(part))

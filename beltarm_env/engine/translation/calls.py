@@ -34,6 +34,7 @@ from beltarm_env.engine.translation.types import (
     joined,
     make_of,
     parts_of,
+    reads_memory,
     shown,
 )
 from beltarm_env.engine.translation.whole import LEAST, MOST, WHOLE, span, whole
@@ -73,9 +74,7 @@ class Calls(Expressions):
             owner = self.value(node.func.value)
             source = arrays.lazy(owner, self.table)
             if source is not None:
-                copy = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
-                self.fill(copy, source)
-                return copy
+                return self.copy_of(source)
         if node.func.attr == "reshape":
             owner = self.value(node.func.value)
             if isinstance(owner, Array) and len(owner.shape) == 1 and list(map(ast.unparse, node.args)) == ["1", "-1"]:
@@ -112,29 +111,36 @@ class Calls(Expressions):
         self.counter += 1
         name = self.c_name(f"a_{self.counter}")
         array = Array(dtype, sizes, arrays.contiguous(sizes), name, memory=name, checked=self.program.checked)
+        within = self.within if self.loops else None
         if isinstance(count, int) and count <= LARGEST:
-            self.locals[name] = Local(None, f"{dtype} {name}[{max(count, 1)}];")
+            self.locals[name] = Local(None, f"{dtype} {name}[{max(count, 1)}];", within)
             return replace(array, in_loop=self.loops > 0)
         if not self.program.runs_here:
             raise TranslationError(f"an array of {count} numbers is too large for the stack: take it as an argument")
-        self.locals[name] = Local(None, f"{dtype} *{name} = NULL;")
+        self.locals[name] = Local(None, f"{dtype} *{name} = NULL;", within)
         self.write(f"{name} = heap_array(sizeof({dtype}), {bare(arrays.text(count))});")
         self.uses_heap = True
         return array
+
+    def copy_of(self, source: Lazy) -> Array:
+        """Compute an array expression now, into an array of its own."""
+        copy = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+        self._each(copy, source)
+        return copy
 
     def fill(self, target: Array, value: Value) -> None:
         """Write a number into all elements of an array, or an array expression of its shape."""
         if target.constant:
             raise TranslationError("what is constant is not assigned to")
+        if isinstance(value, Array) and reads_memory(value):  # its place is that before the first element is written
+            value = self.held(value)
         source = arrays.lazy(value, self.table)
         if source is not None:
             self.common_shape(target.shape, source.shape, "an array of shape {} cannot take one of {}")
         if source is None and isinstance(value, Scalar):
             value = self.kept(value)
         if source is not None and arrays.overwrites(target, source):  # NumPy reads all first
-            before = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
-            self._each(before, source)
-            source = arrays.lazy(before, self.table)
+            source = arrays.lazy(self.copy_of(source), self.table)
         self._each(target, value if source is None else source)
 
     def _each(self, target: Array, value: Value) -> None:
@@ -144,7 +150,7 @@ class Calls(Expressions):
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             kind = INT if isinstance(size, str) else SMALL
-            self.write(f"{indent}for ({kind} {name} = 0; {name} < {arrays.operand(arrays.text(size))}; ++{name}) {{")
+            self.write(f"{indent}for ({kind} {name} = 0; {name} < {arrays.text(size)}; ++{name}) {{")
         number = value.at(names) if isinstance(value, Lazy) else value
         place = arrays.element(target, names)
         self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")

@@ -87,8 +87,6 @@ class Expressions(Scope):
             owner = self.table(known, owner.name if isinstance(owner, Const) else "")
         if isinstance(owner, Array):
             found = arrays.view(owner, index)
-            if isinstance(found, Array):  # which is where it is now, whatever is written later
-                found = arrays.view(owner, [self.held(at) if reads_memory(at) else at for at in index])
             return scalar(found) if isinstance(found, Scalar) else found
         if isinstance(owner, Lazy):
             raise TranslationError(f"an array expression cannot be indexed: {ast.unparse(node)}")
@@ -121,7 +119,7 @@ class Expressions(Scope):
         if isinstance(found, Const) and isinstance(found.value, slice):
             return tuple(None if part is None else Const(part) for part in (found.value.start, found.value.stop))
         if make_of(found) is slice:
-            return tuple(None if part == Const(None) else part for part in parts_of(found))
+            return tuple(None if part == Const(None) else self._end(part) for part in parts_of(found))
         return found
 
     def _end(self, value: Value) -> Value:

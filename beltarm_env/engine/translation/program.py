@@ -298,8 +298,9 @@ class Program:
         if len(returns) != 1 or not isinstance(last, ast.Return) or last.value is None:
             raise TranslationError(f"{place(function)} returns an array, but not at its end alone: return it there")
         inner = inspect.getclosurevars(function)
+        values = [caller.held(value) for value in values]
         of_caller = {name: getattr(caller, name) for name in _OF_A_BODY}
-        caller.names = {a.arg: caller.held(value) for a, value in zip(tree.args.args, values, strict=True)}
+        caller.names = {a.arg: value for a, value in zip(tree.args.args, values, strict=True)}
         caller.outside = {**function.__globals__, **inner.nonlocals, **self.overrides}
         caller.places, caller.forms, caller.assigned, caller.source = {}, {}, assignments(tree), function
         caller.kinds = caller.kinds.setdefault(f"<{function.__name__} {caller.counter}>", {})

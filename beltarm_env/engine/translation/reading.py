@@ -52,9 +52,10 @@ def assignments(tree: ast.FunctionDef) -> dict[str, int]:
             note(node.target, 2 if isinstance(node, ast.AugAssign) else 1)
         elif isinstance(node, ast.For) and not isinstance(node.iter, ast.Call):
             note(node.target, 2)
-        if isinstance(node, ast.For) and not _counts(node):  # it may be written out, turn by turn
-            for name in _stored(node) & _loaded(tree, node):
-                found[name] = found.get(name, 0) + 2
+    for node in ast.walk(tree):  # a loop over a tuple, whose variables are known unless something else sets them
+        if isinstance(node, ast.For) and isinstance(node.iter, ast.Call) and isinstance(node.target, ast.Tuple):
+            for name in {part.id for part in ast.walk(node.target) if isinstance(part, ast.Name)} & {*found}:
+                found[name] += 2
     loops: list[Any] = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
     for loop in loops:
         name = loop.target.id
@@ -62,24 +63,6 @@ def assignments(tree: ast.FunctionDef) -> dict[str, int]:
         if found[name] or (name != "_" and (_is_set_within(loop) or _is_read_beyond(tree, loops, name))):
             found[name] += 2
     return {name: count + (1 if name in parameters and count else 0) for name, count in found.items()}
-
-
-def _counts(loop: ast.For) -> bool:
-    """Tell whether a loop is over a range."""
-    return isinstance(loop.iter, ast.Call) and ast.unparse(loop.iter.func) == "range"
-
-
-def _stored(loop: ast.For) -> set[str]:
-    """Names that the statements of a loop set."""
-    nodes = [node for statement in loop.body for node in ast.walk(statement)]
-    return {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-
-
-def _loaded(tree: ast.FunctionDef, loop: ast.For) -> set[str]:
-    """Names that a function reads outside a loop."""
-    within = {id(node) for node in ast.walk(loop)}
-    nodes = [node for node in ast.walk(tree) if id(node) not in within]
-    return {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
 
 
 def _is_set_within(loop: Any) -> bool:

@@ -18,6 +18,7 @@ from beltarm_env.engine.translation.types import (
     ArrayType,
     Const,
     Group,
+    Lazy,
     Record,
     RecordType,
     Scalar,
@@ -51,6 +52,7 @@ class Local:
 
     kind: Any  # type of a number, a struct or an array
     text: str  # declaration
+    within: tuple[int, ...] | None = None  # branches and loops that it is set in; None is outside all loops
 
 
 @dataclass
@@ -68,7 +70,8 @@ class Scope:
     line: int = 0
     counter: int = 0
     loops: int = 0
-    depth: int = 0  # of branches and loops of the program
+    blocks: int = 0  # branches and loops of the program so far
+    within: tuple[int, ...] = ()  # those that the translation is in
     changed: bool = False
     taken: set[str] = field(default_factory=set)
     places: dict[str, str] = field(default_factory=dict)  # names of C of the kernel's variables
@@ -119,7 +122,7 @@ class Scope:
             text = f"{'const ' if kind.constant else ''}{kind.dtype} *{name} = NULL;"
         else:
             text = f"{kind} {name} = {'false' if kind == 'bool' else '0'};"
-        self.locals[name] = Local(kind, text)
+        self.locals[name] = Local(kind, text, self.within if self.loops else None)
         return name
 
     def kept(self, value: Any) -> Any:
@@ -130,9 +133,15 @@ class Scope:
         """Compute a value now, unless it is one that no later assignment or call changes."""
         if isinstance(value, Group):
             return Group(value.make, tuple((name, self.held(part)) for name, part in value.fields))
+        if isinstance(value, Lazy):
+            return self.copy_of(value)
         if isinstance(value, Scalar | Record | Array) and self.changes(value):
             return self._copied(value)
         return value
+
+    def copy_of(self, source: Lazy) -> Array:
+        """Compute an array expression now, into an array of its own."""
+        raise NotImplementedError
 
     def changes(self, value: Any) -> bool:
         """Tell whether an expression may give something else later: it reads memory, or a variable set again."""
@@ -140,12 +149,22 @@ class Scope:
             return any(self.changes(part) for _, part in value.fields)
         if not isinstance(value, Scalar | Record | Array):
             return False
-        if not isinstance(value, Array) and re.search(r"\[|->", value.code):
+        if re.search(r"\[|->", value.code):
             return True
         parts = (*value.shape, *value.strides) if isinstance(value, Array) else ()
         text = " ".join([value.code, *map(str, parts)])
         again = {place for name, place in self.places.items() if self.often(name)}
         return not again.isdisjoint(re.findall(r"[A-Za-z_]\w*", text))
+
+    def stays(self, array: Array) -> bool:
+        """Tell whether an array has a name of C, and is what a name that is set here stands for, as long as it does."""
+        names = (array.code, *map(str, (*array.shape, *array.strides)))
+        return array.code.isidentifier() and not self.changes(array) and not any(map(self.set_without, names))
+
+    def set_without(self, name: str) -> bool:
+        """Tell whether a turn of a loop may set a variable of C, and not come to this block."""
+        within = self.locals[name].within if name in self.locals else None
+        return self.loops > 0 and within is not None and within[: len(self.within)] != self.within
 
     def often(self, name: str) -> bool:
         """Tell whether a variable, or one of its parts, is assigned more than once."""
@@ -185,7 +204,9 @@ class Scope:
     def stable(self, size: Size) -> Size:
         """Compute a length into a variable that nothing else changes."""
         length = Scalar(INT, str(size))
-        if isinstance(size, int) or (size.isidentifier() and not self.changes(length)):
+        if isinstance(size, int):
+            return size
+        if size.isidentifier() and not self.changes(length) and not self.set_without(size):
             return size
         return self._copied(length).code
 

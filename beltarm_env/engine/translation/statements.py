@@ -91,7 +91,6 @@ class Statements(Assignments):
         left = []
         before = dict(self.names)
         ends = []
-        self.depth += 1
         for k, body in enumerate((statement.body, statement.orelse)):
             if k and not body:
                 left.append(False)
@@ -100,12 +99,11 @@ class Statements(Assignments):
             if k:
                 self.write("} else {")
             self.names = dict(before)
-            gone, lines = self.apart(lambda body=body: self.block(body))
+            gone, lines = self._inside(lambda body=body: self.block(body))
             left.append(gone)
             ends.append(self.names)
             self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        self.depth -= 1
         # Names that both branches, or the one that goes on, have set; known values that differ are variables by now.
         self.names = {**ends[0], **ends[1]} if not (left[0] or left[1]) else (ends[1] if left[0] else ends[0])
         return all(left)
@@ -132,11 +130,20 @@ class Statements(Assignments):
 
     def _looped(self, turn: Callable[[], Any]) -> None:
         """Translate the turns of a loop, and end it."""
-        self.loops, self.depth = self.loops + 1, self.depth + 1
-        _, lines = self.apart(turn)
+        self.loops += 1
+        _, lines = self._inside(turn)
         self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        self.loops, self.depth = self.loops - 1, self.depth - 1
+        self.loops -= 1
+
+    def _inside(self, action: Callable[[], Any]) -> tuple[Any, list[str]]:
+        """Translate a branch or the turns of a loop, as `apart`."""
+        before, self.blocks = self.within, self.blocks + 1
+        self.within = (*before, self.blocks)
+        try:
+            return self.apart(action)
+        finally:
+            self.within = before
 
     def _do_for(self, statement: ast.For) -> None:
         iterated = statement.iter
@@ -193,6 +200,9 @@ class Statements(Assignments):
             return
         if _leaves(statement.body, ast.Break | ast.Continue):
             raise TranslationError("a loop over a tuple is written out, and takes neither break nor continue")
+        stored = {n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        stored -= {n.id for n in ast.walk(statement.target) if isinstance(n, ast.Name)}
+        self.assigned = {**self.assigned, **dict.fromkeys(stored, 2)}  # in each turn
         for part in parts_of(self.held(iterated)):
             self.assign(statement.target, part)
             if self.block(statement.body):
@@ -215,7 +225,7 @@ class Statements(Assignments):
     def _do_assign(self, statement: ast.Assign) -> None:
         value = self.value(statement.value)
         if len(statement.targets) > 1:
-            value = self.kept(self.computed(value))
+            value = self.kept(self.held(value))
         for target in statement.targets:
             self.assign(target, value)
 

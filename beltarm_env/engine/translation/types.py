@@ -216,10 +216,12 @@ def field_of(owner: Value, name: str) -> Value:
 
 
 def reads_memory(value: Value) -> bool:
-    """Tell whether a number, or one of a tuple, is an element of an array."""
+    """Tell whether a number, or one of a tuple, is an element of an array, or such places a view; or is Lazy."""
     if isinstance(value, Group):
         return any(reads_memory(part) for _, part in value.fields)
-    return isinstance(value, Scalar | Record) and bool(re.search(r"\[|->", value.code))
+    if isinstance(value, Lazy):
+        return True
+    return isinstance(value, Scalar | Record | Array) and bool(re.search(r"\[|->", value.code))
 
 
 def make_of(value: Value) -> Any:

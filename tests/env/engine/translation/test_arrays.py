@@ -118,34 +118,6 @@ def parameters_assigned_again(a: Any, x: float) -> Any:
     return cut_and_kept(x, Inner(a, 3)), times_of(Inner(a, 3), x)
 
 
-def first_kept(first: float, a: Any) -> Any:
-    a[0] = 0.0
-    made = np.zeros(2)
-    made[:] = first
-    return made
-
-
-@case(*((row(8), square(), k) for k in (1, 2, 3)))
-def computed_where_it_stands(a: Any, table: Any, k: int) -> tuple[float, ...]:
-    a[:4], a[4:] = a[4:] - a[:4], 2.0 * a[:4]
-    made, total, last = first_kept(a[0], a), 0.0, -1
-    for v in a[k:]:
-        total += v * k
-        k += 1
-    for i in range(len(table)):
-        here = table[i]
-        if i == 0:
-            first = here
-        total += here[0] - first[0]
-    for place, value in enumerate((made[0], total, 1.0)):
-        if value > 0.0:
-            last = place
-    buffer = np.zeros(8)
-    buffer[: k & 3] = 1.0
-    a[:3] = TABLE[int(buffer[0])]
-    return made[1], total, last, buffer[2], buffer[4]
-
-
 def next_place(counter: Any) -> int:
     counter[0] += 1
     return counter[0] - 1
@@ -246,6 +218,22 @@ def shift(x: Any, y: Any) -> None:
     x[1:] = y[:-1]
 
 
+@case((np.array([1.0, 2.0, 3.0, 4.0]), square(), 1))
+def taken_where_python_does(a: Any, b: Any, k: int) -> tuple[float, ...]:
+    total, few = 0.0, np.zeros(4)
+    few[: (k + 5) & 3] += len(few[k : (k + 5) & 3])
+    for value in a[k:]:
+        total = 2.0 * total + value
+        k += 1
+    few[:3] = TABLE[int(few[0])]
+    a[:] = b[int(a[0])] - 1.0
+    a[:], few[:] = 0.6 * a - few, a + 0.8 * few
+    a[:] = few[:] = (a + few) * bumped(a)
+    a[0] = 0.5
+    a[:] = b[int(a[0])] + b[int(a[0])] * bumped(a)
+    return total, mean(few)
+
+
 @case((row(8),), (row(9),))
 def overlapping(a: Any) -> None:
     a[1:] = a[:-1]
@@ -315,6 +303,20 @@ def zeros_in_loops(n: int) -> float:
     return total
 
 
+@case((square(), 1.0, 0.0), (square(), 1.0, 1.0))
+def names_from_turn_to_turn(a: Any, x: float, y: float) -> tuple[Any, ...]:
+    total = 0.0
+    for i in range(len(a)):
+        line = a[i, i:]
+        if i == 0:
+            first, pair = line, Inner(line, 1)
+        total += line[0] - first[0] - pair.row[1] + len(first)  # pyright: ignore[reportPossiblyUnboundVariable]
+    for k, value in enumerate((x, y)):
+        if value > 0.0:
+            best = k
+    return total, best  # pyright: ignore[reportPossiblyUnboundVariable]
+
+
 # Calls and tuples
 
 
@@ -363,16 +365,16 @@ def workspace(n: int) -> Workspace:
     return Workspace(np.zeros(n), np.empty((n, 2)))
 
 
-def halves(x: float) -> Any:
-    made = np.full(3, 0.5)
+def halves(x: float, a: Any) -> Any:
+    a[2], made = a[2] + 0.25, np.full(3, 0.5)
     made[1:] *= x
     return made
 
 
 @case((row(3), 2.0), (row(3), -0.5))
 def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
-    first, second, work = halves(x), halves(a[2]), workspace(3)
-    a[:] = halves(3.0) + first
+    first, second, work = halves(x, a), halves(a[2], a), workspace(3)
+    a[:] = halves(3.0, a) + first
     work.right[:] = x
     work.right[2, 0] = 1.0
     work.left[:] = work.right[:, 0] * 3.0
