@@ -120,12 +120,6 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights)
 
 
-def states_before(recording: Recording, hold: int) -> Floats:
-    """States as each hold begins, shape (holds of all moves, arms, 4); zero at the very beginning."""
-    states = np.concatenate([np.zeros((1, recording.num_arms, 4)), recording.in_turn(recording.state)])
-    return states[np.arange(len(states) - 1).reshape(recording.num_moves, -1)[:, ::hold].ravel()]
-
-
 def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
     """Torque of motors at rest, residual of others, and the price of either, shape (1200, n)."""
     speed, count = recording.state[:, :, 1], recording.num_arms

@@ -132,7 +132,7 @@ class ResidualController:
             seen = self.informed.seen(observation, informed)
             fresh, following = self.policy.predict(seen, policy, anew, deterministic)
             residual = np.where(due[:, None], fresh, residual)
-            policy = following if policy is None else _where(due, following, policy)
+            policy = _where(due, following, policy)
         action = combine(informed.action, residual, self.settings.limit)
         return action, ResidualMemory(informed, policy, residual, age + 1)
 
@@ -141,7 +141,7 @@ def _where(due: Flags, following: Any, before: Any) -> Any:
     """Memory of a policy: the new one of arms for which it decided, the old one of all others.
 
     Of the project's policies it is an array with the arms first, of one with an LSTM by sb3-contrib a tuple of arrays,
-    each with the layers before the arms.
+    each with the layers before the arms. Of any other, and at first, it is the new one.
     """
     if isinstance(before, tuple):
         return tuple(np.where(due[:, None], new, old) for new, old in zip(following, before, strict=True))

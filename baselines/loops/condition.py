@@ -82,10 +82,9 @@ def believing(controller: Any, arm: ArmParams) -> Any:
     An encoder tells constants of motion over torque alone: it finds them over 1 + k, k the torque constant's error.
     """
     mine, told = controller.params, 1 + arm.torque_constant_error
-    found = {name: getattr(arm, name) for name in (*IDENTIFIED, *_IDENTIFIED_DRIVE)}
-    found["arm_inertia_swing"] += 4 * mine.link_length**2 * arm.payload_mass
-    found |= {name: found[name] / told for name in IDENTIFIED}
-    found["arm_inertia_swing"] -= 4 * mine.link_length**2 * mine.payload_mass
+    found = {name: getattr(arm, name) / told for name in IDENTIFIED}
+    found["arm_inertia_swing"] += 4 * mine.link_length**2 * (arm.payload_mass / told - mine.payload_mass)
+    found |= {name: getattr(arm, name) for name in _IDENTIFIED_DRIVE}
     return type(controller)(controller.gains, params=replace(mine, **found))
 
 

@@ -177,7 +177,7 @@ class AccelerometerPreviewController(PreviewController):
         deterministic: bool = True,
     ) -> tuple[Singles, PreviewMemory]:
         """Torque over its limit, see `ClassicalController`; the zero-g output lasts from move to move."""
-        if state is not None and episode_start is not None:
+        if state is not None and episode_start is not None and np.any(episode_start):
             state = state._replace(rows=chosen(np.asarray(episode_start), np.zeros_like(state.rows), state.rows))
         return super().predict(observation, state, episode_start, deterministic)
 

@@ -73,8 +73,8 @@ class Renderer:
         """
         motor, torsion = (float(state[k]) if math.isfinite(state[k]) else 0.0 for k in (0, 2))
         joint_angle = motor / params.gear_ratio
-        error = params.kinematic_error * math.sin(2 * motor + params.kinematic_error_phase)
-        arm, reference = posture(params, joint_angle, torsion, error), posture(params, reference_angle, 0.0)
+        deviation = params.kinematic_error * math.sin(2 * motor + params.kinematic_error_phase)
+        arm, reference = posture(params, joint_angle, torsion, deviation), posture(params, reference_angle, 0.0)
         error = 1e3 * (arm[3][0] - reference[3][0]), 1e3 * (arm[3][1] - reference[3][1])
         self._trace = [past for past in self._trace if time - TRACE_SECONDS <= past[0] < time]
         self._trace.append((time, error))
@@ -152,12 +152,12 @@ def _fine(point: Point) -> Point:
     return x, y
 
 
-def posture(params: ArmParams, joint_angle: float, torsion: float, error: float = 0.0) -> list[Point]:
+def posture(params: ArmParams, joint_angle: float, torsion: float, deviation: float = 0.0) -> list[Point]:
     """Return joints 1, 2, 3 and tip [m] at theta_a / G, theta_s and the joint's kinematic error [rad]."""
-    length, along, across = params.link_length, math.cos(torsion + error), math.sin(torsion + error)
+    length, along, across = params.link_length, math.cos(torsion + deviation), math.sin(torsion + deviation)
     joint_3 = 2 * length * math.cos(joint_angle - torsion)
     tip = joint_3 + params.hand_length
-    elbow = length * math.cos(joint_angle + error), length * math.sin(joint_angle + error)
+    elbow = length * math.cos(joint_angle + deviation), length * math.sin(joint_angle + deviation)
     return [(0.0, 0.0), elbow, (joint_3 * along, joint_3 * across), (tip * along, tip * across)]
 
 

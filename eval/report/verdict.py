@@ -115,8 +115,8 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     best = comparison.best_classical(home)
     of_kind = [outcome for outcome in ranked if outcome.method.kind == pair[0].method.kind]
     leads = min(of_kind, key=lambda outcome: outcome.cost) is pair[0], best is pair[1]
-    against = [pair for pair in comparison.pairs if (pair.against, pair.outcome.split) == ("best classical", home)]
-    corrected = {pair.outcome.name: pair.metrics["cost"] for pair in against}  # for all methods of this split
+    against = [each for each in comparison.pairs if (each.against, each.outcome.split) == ("best classical", home)]
+    corrected = {each.outcome.name: each.metrics["cost"] for each in against}  # for all methods of this split
     of_own = _tested([(outcome, best) for outcome in own if best], "cost")
     of_own = [replace(test, middle=corrected[test.challenger.name]) for test in of_own]
     sentences = _sentences(tests=tests, leads=leads, own=of_own, episodes=episodes, **words)

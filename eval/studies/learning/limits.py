@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from agents.learners.student import Student, StudentConfig
-from agents.learners.teaching import Advice, Recorder, advise, states_before
+from agents.learners.teaching import Advice, Recorder, advise
 from agents.policy.bundle import load_controller
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
@@ -59,7 +59,9 @@ def outstanding(policy: str, k: int, arms: int) -> tuple[Advice, Floats]:
 
 def _truth(run: Recording, hold: int) -> Floats:
     """Motor speed, torsion and its rate as each hold begins, and the arms' constants, shape (holds, arms, all)."""
-    motion, moves = states_before(run, hold)[..., 1:], map(run.of_move, range(run.num_moves))
+    states = np.concatenate([np.zeros((1, run.num_arms, 4)), run.in_turn(run.state)])
+    begins = np.arange(len(states) - 1).reshape(run.num_moves, -1)[:, ::hold].ravel()
+    motion, moves = states[begins, :, 1:], map(run.of_move, range(run.num_moves))
     constants = np.repeat([move.params for move in moves], len(motion) // run.num_moves, axis=0)
     return np.concatenate([motion, constants], axis=2)
 
