@@ -13,6 +13,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
 from beltarm_env.task.ranges import design_model
+from beltarm_env.task.reference import Profile
 
 Memory = TypeVar("Memory")
 
@@ -30,6 +31,8 @@ class ClassicalController(ABC, Generic[Memory]):
     sensors: ClassVar[Literal["encoder", "full", "accelerometer"]] = "encoder"
     remembers: ClassVar[bool] = False
     """Whether what it knows lasts from move to move of an episode."""
+    profile: ClassVar[Profile | None] = "trapezoid"
+    """Shape of the reference that its law rebuilds from the move; None for a law that follows what it observes."""
 
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()

@@ -151,8 +151,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         Args:
             sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion;
                 "accelerometer" adds the tip's acceleration as a MEMS part measures it (`task.accelerometer`).
-            profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic". It is not observed, and
-                controllers of `baselines` that rebuild the reference take it for a trapezoid.
+            profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic". `rollout` refuses the
+                others to controllers that rebuild the trapezoid: all of `baselines` but "paper" and "rigid".
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
                 full arm moved and drawn by MuJoCo (extra `mujoco`), which cannot express all effects of a drive and
                 refuses those of "train".

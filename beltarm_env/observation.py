@@ -7,10 +7,9 @@ wanted, not by their range: 1.5 rad at the motor is 1 degree at the joint.
 Measured quantities come from the motor's encoder: the angle in whole counts, the speed as the difference of two samples
 over the control period. Its index pulse makes the angle within the motor's turn absolute; sine and cosine of twice that
 angle are what torque ripple, friction and errors of the gear repeat with. The reference ahead is given at `LOOKAHEADS`,
-and the move itself by start, goal, duration, ramp time and elapsed time: enough to rebuild the reference at any time,
-for who knows its profile.
-Of the torque there is what was commanded: what a drive makes of a command, it does not report. Whether the gripper
-holds a part is known, for who closes it knows; the part's mass is not.
+and the move itself by start, goal, duration, ramp time and elapsed time: with its `profile`, which is not observed,
+enough to rebuild the reference at any time. Of the torque there is what was commanded: what a drive makes of a command,
+it does not report. Whether the gripper holds a part is known, for who closes it knows; the part's mass is not.
 """
 
 from __future__ import annotations

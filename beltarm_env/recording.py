@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltarm_env.arm import COLUMN, FIELDS
+from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import episode_metrics
+from beltarm_env.physics.drive import belt_motions, built_drive
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -178,7 +179,7 @@ class Recording:
         return columns | {name: self.tip_error[:, :, k].T.ravel() for k, name in enumerate(_ERRORS)}
 
     def plot(self) -> Figure:
-        """Draw the tip's error, the torque, and torsion over its rate, of the first ten moves, each in one colour.
+        """Draw the tip's error, the torque, and the belt's torsion and its rate, of ten moves, each in one colour.
 
         Returns:
             The figure: a notebook shows it, `savefig` writes it.
@@ -199,7 +200,9 @@ class Recording:
             label = f"arm {arm}, move {move}" if self.num_moves > 1 else f"arm {arm}"
             error.plot(self.time, 1e3 * np.hypot(*self.tip_error[:, k].T), color=colour, lw=1, label=label)
             torque.plot(self.time, self.torque[:, k], color=colour, lw=0.8)
-            phase.plot(1e3 * self.state[:, k, 2], self.state[:, k, 3], color=colour, lw=0.6)
+            row = self.params[k]
+            torsion, rate = belt_motions(self.state[:, k], plant_of(row), built_drive(row)).T
+            phase.plot(1e3 * torsion, rate, color=colour, lw=0.6)
         for axis in (error, torque):
             axis.axvspan(0, self.moves[:count, 2].max(), color="0.5", alpha=0.12, lw=0)
             axis.set_xlim(0, self.time[-1])

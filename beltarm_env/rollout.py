@@ -22,7 +22,17 @@ from beltarm_env.task.cost import MAX_COST
 from beltarm_env.timing import EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
 
-__all__ = ["DATA_SHEET", "Controller", "Recording", "check_data_sheet", "nominal_params", "record", "rollout"]
+__all__ = [
+    "DATA_SHEET",
+    "Controller",
+    "Recording",
+    "check_data_sheet",
+    "check_profile",
+    "nominal_params",
+    "nominal_profile",
+    "record",
+    "rollout",
+]
 
 
 class Controller(Protocol):
@@ -30,7 +40,8 @@ class Controller(Protocol):
 
     Observations and actions are relative to constants of the arm's data sheet, which nobody identifies: `gear_ratio`
     and `torque_limit`. A controller that relies on them has an attribute `params`, the `ArmParams` that it is made for,
-    and is refused arms with others. One without `params` is not checked.
+    and is refused arms with others. One without `params` is not checked. The `profile` of the reference is not observed
+    either: a controller that rebuilds the reference from the move has an attribute `profile`, the one that it rebuilds.
     """
 
     def predict(
@@ -58,6 +69,21 @@ def nominal_params(controller: Controller) -> ArmParams | None:
     """The arm that a controller is made for, if it says so in an attribute `params`."""
     params = getattr(controller, "params", None)
     return params if isinstance(params, ArmParams) else None
+
+
+def nominal_profile(controller: object) -> str | None:
+    """The shape of the reference that a controller rebuilds, if it says so in an attribute `profile`."""
+    profile = getattr(controller, "profile", None)
+    return profile if isinstance(profile, str) else None
+
+
+def check_profile(controller: object, profile: str) -> None:
+    """Check that a controller that rebuilds the reference rebuilds this one, or raise ValueError."""
+    if nominal_profile(controller) not in (None, profile):
+        raise ValueError(
+            f"{type(controller).__name__} rebuilds a reference with profile={nominal_profile(controller)!r} and would "
+            f"follow that, got an environment with profile={profile!r}"
+        )
 
 
 def check_data_sheet(params: ArmParams | None, table: Floats, name: str) -> None:
@@ -109,7 +135,7 @@ def rollout(
 
     Raises:
         ValueError: If a setting or option is not allowed, the controller is made for arms with another gear ratio or
-            torque limit, or it returns another shape or NaN.
+            torque limit or another reference, or it returns another shape or NaN.
         TypeError: If the controller has no `predict`.
     """
     _require_controller(controller)
@@ -153,6 +179,7 @@ def record(
         raise ValueError(f"a rollout has {steps} steps, got max_episode_steps={env.max_episode_steps}: leave it out")
     if env.autoreset_mode is AutoresetMode.SAME_STEP:
         raise ValueError("a rollout would record the next episodes of arms: make it with autoreset_mode='Disabled'")
+    check_profile(controller, env.profile)
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     check_data_sheet(nominal_params(controller), env.params_table, type(controller).__name__)
     made = _Made.empty(num_moves, num_arms)

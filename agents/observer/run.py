@@ -156,7 +156,7 @@ class Disturbed:
 
     def __init__(self, source: Source, observer: Observer, seed: int, count: int) -> None:
         self.informed = InformedBase(source.controller(), observer.knowledge)
-        self.params = self.informed.params
+        self.params, self.profile = self.informed.params, self.informed.profile
         self.inputs: list[NDArray[np.float16]] = []
         self._observer = observer
         self._random = np.random.default_rng(seed)

@@ -100,6 +100,7 @@ class ResidualController:
 
     Attributes:
         params: Arm that it is made for, see `Controller`.
+        profile: Shape of the reference that its base rebuilds.
     """
 
     remembers = True
@@ -109,7 +110,7 @@ class ResidualController:
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
-        self.params = self.informed.params
+        self.params, self.profile = self.informed.params, self.informed.profile
 
     def predict(
         self,

@@ -33,7 +33,7 @@ from beltarm_env.engine import compiled, inlined
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState
-from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params
+from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params, nominal_profile
 
 Knowledge = Literal["belief", "none"]
 
@@ -175,6 +175,7 @@ class InformedBase:
 
     Attributes:
         params: Arm that base and identification are made for, see `Controller`; None if they take any.
+        profile: Shape of the reference that the base rebuilds, see `Controller`; None if it takes any.
         remembers: Whether the base's memory, and so the belief, lasts from move to move.
         identifier: Identification beside the base; None if the base shares its belief, or there is no knowledge.
     """
@@ -184,6 +185,7 @@ class InformedBase:
         self.knowledge: Knowledge = knowledge
         self.remembers = bool(getattr(base, "remembers", False))
         self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
+        self.profile = nominal_profile(base)
         arm = self.params or ArmParams()
         self._design = replace(design_model(), **{name: getattr(arm, name) for name in DATA_SHEET})
         alone = knowledge == "belief" and not isinstance(base, IdentifyingController)

@@ -14,7 +14,7 @@ from baselines.reading import beginning
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.rollout import Controller, nominal_params
+from beltarm_env.rollout import Controller, nominal_params, nominal_profile
 
 PLANNING = ("lqg", "robust", "preview", "mpc", "adaptive")
 """Controllers that rely on an observer or a plan, and fall back to `SERVO_NAME`."""
@@ -76,7 +76,7 @@ class GuardedController:
         if params is None:
             raise ValueError(f"{type(controller).__name__} has no `params`: the guard needs to know the torque limit")
         self.controller, self.servo = controller, servo
-        self.params = params
+        self.params, self.profile = params, nominal_profile(controller) or nominal_profile(servo)
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 

@@ -147,6 +147,7 @@ class PaperController(ScalarController):
         gains: Feedback gains.
     """
 
+    profile = None
     arm_law = staticmethod(paper_law)
     memory_size = 3
 

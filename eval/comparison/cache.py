@@ -29,7 +29,7 @@ from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.metrics import METRICS
-from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
+from beltarm_env.rollout import Controller, Recording, nominal_params, nominal_profile, rollout
 from beltarm_env.sources import sources_digest
 from eval.comparison.carrying import Carried
 from eval.comparison.methods import LARGEST_BATCH, Method
@@ -270,7 +270,7 @@ class Perturbed:
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self.params = nominal_params(controller)
+        self.params, self.profile = nominal_params(controller), nominal_profile(controller)
         self._difference = PERTURBATION / (self.params or NOMINAL).torque_limit
 
     def predict(

@@ -62,7 +62,7 @@ class TestSaved:
         read, described, *_ = read_bundle(tmp_path)
         assert described == spec and same(read.arrays, new_weights(spec, 0).arrays)
         original = ResidualController(make_base(spec.base), NetworkPolicy(new_weights(spec, 0)), spec.residual)
-        arms: dict[str, Any] = {"seed": 1, "sensors": spec.sensors, "randomization": "train", "profile": "scurve"}
+        arms: dict[str, Any] = {"seed": 1, "sensors": spec.sensors, "randomization": "train"}
         ours, theirs = (rollout(controller, 3, **arms) for controller in (original, load_controller(tmp_path)))
         assert ours.torque.tobytes() == theirs.torque.tobytes() and ours.state.tobytes() == theirs.state.tobytes()
 

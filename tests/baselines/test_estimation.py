@@ -187,7 +187,6 @@ def believed_after(controller: AdaptiveController, env: BeltArmVectorEnv, steps:
 
 
 def true_delays(env: BeltArmVectorEnv) -> Floats:
-    """Latency and current loop [samples]."""
     table = env.params_table
     return (table[:, COLUMN.command_latency] + table[:, COLUMN.current_loop_time_constant]) / CONTROL_PERIOD
 

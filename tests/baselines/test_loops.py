@@ -148,7 +148,6 @@ class TestMargins:
 
 def test_margins_that_are_known_in_closed_form():
     def first_order(pole: float, gain: float) -> Margins:
-        """Of L = gain / (z - pole)."""
         return margins_from_poles(np.array([[complex(pole)]]), np.array([[complex(pole - gain)]]))
 
     # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
