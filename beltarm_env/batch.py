@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -25,7 +27,7 @@ from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_r
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.options import checked_column, checked_names, checked_states
-from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
+from beltarm_env.task.ranges import Randomization, bounds_of, draw_table
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.task.shift import MOST_MOVES, fastest_of_moves
 from beltarm_env.task.streams import Streams, wrapping
@@ -113,6 +115,16 @@ def _delays(given: object, count: int) -> Floats:
     return delays
 
 
+@cache
+def _spaces(sensors: str) -> tuple[spaces.Box[np.float32], spaces.Box[np.float32]]:
+    """Spaces of observation and action that nobody draws from: copies of them share their arrays, half a kilobyte."""
+    bounds = observation.bounds(sensors)
+    both = spaces.Box(-bounds, bounds, dtype=np.float32), spaces.Box(-1.0, 1.0, (1,), np.float32)
+    for of in both:
+        of.low.flags.writeable = of.high.flags.writeable = False
+    return both
+
+
 class ArmBatch:
     """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
 
@@ -139,7 +151,7 @@ class ArmBatch:
         self.model_name = model
         self.model = model_of(model)
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
-        self._bounds = range_bounds(resolve_ranges(randomization, self.num_moves))
+        self._bounds = bounds_of(randomization, self.num_moves)
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
@@ -151,9 +163,8 @@ class ArmBatch:
         if self.engine is not None:
             self.engine.check(self._bounds)
         self.table = np.tile(self._bounds[0], (num_arms, 1))
-        bounds = observation.bounds(sensors)
-        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        observed, acted = _spaces(sensors)
+        self.observation_space, self.action_space = copy(observed), copy(acted)
 
     def reset(self, arms: Integers, uniforms: Floats, options: Mapping[str, Any] | None) -> None:
         """Begin a new episode for some arms.

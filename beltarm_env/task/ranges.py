@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from functools import cache
+from typing import Literal, cast
 
 import numpy as np
 
@@ -130,6 +131,25 @@ def resolve_ranges(randomization: Randomization, moves: int = 1) -> dict[str, tu
 def range_bounds(ranges: Ranges) -> Floats:
     """Return the lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
     return params_table([ArmParams(**{name: pair[end] for name, pair in ranges.items()}) for end in (0, 1)])
+
+
+def bounds_of(randomization: Randomization, moves: int) -> Floats:
+    """Return `range_bounds` of `resolve_ranges`, to be read only; of a word the same array for all environments.
+
+    Raises:
+        ValueError: See `resolve_ranges`.
+        TypeError: See `resolve_ranges`.
+    """
+    if isinstance(randomization, str):
+        return _bounds_of_word(str(randomization), moves)
+    return range_bounds(resolve_ranges(randomization, moves))
+
+
+@cache
+def _bounds_of_word(word: str, moves: int) -> Floats:
+    bounds = range_bounds(resolve_ranges(cast("Randomization", word), moves))
+    bounds.flags.writeable = False
+    return bounds
 
 
 @compiled
