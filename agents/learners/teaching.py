@@ -155,7 +155,7 @@ def best_changes(
         changed = np.diff(torque, prepend=before[i])
         weights = norm_weights(about.errors, changed, limit, _EFFORT, _SOFT)
         weights = weights._replace(smoothness=price * weights.smoothness)
-        change, _, curvature = optimal_change(about, weights, torque)
+        change, _, curvature = optimal_change(about, weights, torque, before=float(before[i]))
         changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
     return changes, curvatures
 

@@ -100,9 +100,8 @@ def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Record
     changes, curvatures = best_changes(recording)
     for arm in range(3):
         law = Law(recording, arm)
-        samples, step = np.arange(20, 1000, 70), 2e-6
-        single = step * np.eye(EPISODE_STEPS)[samples]
-        up, down = law.cost(np.concatenate([single, -single])).reshape(2, -1)
+        samples, single, step = (k := np.arange(20, 1000, 70)), np.eye(EPISODE_STEPS)[k], 2e-6
+        up, down = law.cost(np.concatenate([step * single, -step * single])).reshape(2, -1)
         reported = -2 * (curvatures * changes)[samples, arm] / law.limit
         actual = (up - down) / (2 * step)
         moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0
@@ -144,6 +143,8 @@ def test_advice_on_a_shift():
     np.testing.assert_allclose(residuals, fitted, atol=1e-5)
     advice, (changes, curvatures) = advise(recording, recorder, settings), best_changes(recording)
     assert advice.labels.shape == (3 * 300, 2) and 0 < curvatures.min() <= curvatures.max() < 100
+    steady = best_changes(recording, price=1e9)[0][0] * recording.params[:, COLUMN.torque_limit]
+    np.testing.assert_allclose(steady, recording.torque_before - recording.torque[0], atol=0.02)
     c, h = changes[40:44, 3], curvatures[40:44, 3]
     best = residuals[310, 1] + (h * c - 0.2 * residuals[310, 1]).sum() / (h + 1).sum() / 0.2
     assert (recording.state[39:44, 3, 1] != 0).all() and float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
@@ -188,7 +189,6 @@ def test_rounds_whose_arms_all_left_teach_nothing():
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
-    """A run that nothing has interrupted: its folder, and the seeds of its trials."""
     folder = tmp_path_factory.mktemp("whole") / "run"
     with patch.object(agents.learners.student, "rollout", wraps=rollout) as called:
         run(tiny("student", folder))
