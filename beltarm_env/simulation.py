@@ -9,7 +9,7 @@ sticks has given are states too, which stand beside x:
 Where the motor slides, z is 1 or -1 (`physics.friction.SLIPS`).
 
 States are given and returned, and nothing else is kept from call to call. So friction does not drift here, unless
-`set_table` is told at which sample of an episode each arm is.
+`set_table` is told at which sample of its move each arm is.
 
 Kernels that have one arm simulate it by `beltarm_env.kernels.simulate`.
 """
@@ -67,7 +67,7 @@ class ArmSimulation:
 
         Args:
             table: Columns as `ArmParams`, shape (n, len(FIELDS)).
-            steps: Sample of the episode that each arm is at, by which its friction has drifted, shape (n,); None for
+            steps: Sample of its move that each arm is at, by which its friction has drifted, shape (n,); None for
                 friction as it is at the beginning.
 
         Raises:

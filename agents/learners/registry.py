@@ -1,7 +1,6 @@
 """Training algorithms by name, and the ranges of their options that `train/tune.py` searches.
 
-Ranges are as wide as docs/science/learning.md leaves them sensible: what costs half as much again there is not searched
-again. Hidden layers are written as on the command line, "128 128".
+Ranges are chosen by hand. Hidden layers are written as on the command line, "128 128".
 """
 
 from __future__ import annotations

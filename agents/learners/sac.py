@@ -49,7 +49,7 @@ class SacConfig(ReinforcementConfig):
     gradient_steps: int = 4
     """Gradient steps after each agent step of all arms."""
     learning_starts: int = 25_000
-    """Agent steps before the first gradient step. 25000 are one episode of most arms."""
+    """Agent steps before the first gradient step. 25000 are half an episode of each arm."""
     noise: float = 0.0
     """Standard deviation of noise on the actions, on top of the policy's own exploration."""
     exploration: float = 0.4

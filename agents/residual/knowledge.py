@@ -3,7 +3,7 @@
 An encoder does not show payload, stiffness and friction, nor, while the motor sticks, the vibration. A network of a few
 thousand weights does not infer them from a history of counts, so it gets the estimates of an extended Kalman filter
 (`baselines.estimation.identification`): the state of the arm, the tip's errors in that state, the constants of arm and
-drive, and how much of all that is in doubt. Torque ripple is left out, which the base compensates. What the filter
+drive, and how much of all that is in doubt. Ripple, which `adaptive` compensates, and g are left out. What the filter
 could not explain of the last samples, and what was commanded in them, stands beside the belief: where its model is
 wrong, an agent with a memory can know better.
 
@@ -65,7 +65,7 @@ _DOUBTS = (
     *(entry._replace(name=entry.name.replace("believed", "doubt_of")) for entry in _CONSTANTS),
 )
 _IDENTIFIED = LOGS.start  # of z: from here on the constants of `_CONSTANTS`, in order
-_DOUBTED = 2  # of z: from here up to d
+_DOUBTED = 2  # of z: from here up to the belt's stiffening
 _SURPRISE = Entry("surprise", "-", 1.0, 8.0)
 RECENT = 4
 """Samples whose unexplained angles, and commands, the agent observes."""

@@ -6,9 +6,9 @@ the low-pass is undone without a state of its own:
     m[k] = (a[k] - lambda a[k-1]) / (1 - lambda) = R[k] (v[k] - v[k-1]) / T + b + n
 
 where v is the velocity of the end (`beltarm_env.physics.kinematics`), R turns it into the hand's axes, b is the zero-g
-output and n white noise but for a correlation of lambda / (1 + lambda^2) = 0.09 with its neighbours. Left out: between
-two samples the hand turns by about a milliradian. m is a function of the states at both ends of a sample, those that
-a filter's prediction begins and ends with.
+output and n white noise, but for a correlation of -lambda / (1 + lambda^2) = -0.09 with its neighbours. That the hand
+turns by about a milliradian between two samples is left out. m is a function of the states at both ends of a sample,
+those that a filter's prediction begins and ends with.
 
 `correct_by_both` is the correction of `baselines.estimation.observer` with these two readings more,
 

@@ -134,7 +134,7 @@ def observe(
         correct: By what is measured.
         design: What the filter knows, and whatever else `correct` needs.
         measured: By the arms.
-        begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
+        begins: Which arms begin a move, taken to rest where their encoder is; shape (n,).
         estimates: Shape (n, ESTIMATE_SIZE or more), written.
         room: Of an `ArmSimulation` of n arms or more.
     """

@@ -64,7 +64,7 @@ def finite(value: float) -> bool:
 
 @inlined
 def begin_encoder(angle: float, memory: Floats) -> None:
-    """Begin an episode at rest at a motor angle [rad]."""
+    """Begin a move, taken to rest at a motor angle [rad]."""
     memory[:ENCODER_SIZE] = 0.0
     if finite(angle):
         memory[ANGLE] = angle

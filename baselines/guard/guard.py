@@ -4,8 +4,8 @@
     level 1    base       the residual is no number, out of its range, or at its limit for too long
     level 2    servo      the observer's innovations say that the arm is none it knows, or it begins anew; a sample is
                           lost, or no motor can have made it; or the base's torque is no number
-    level 3    passive    the encoder is not believed any more, or neither base nor servo gives a number: no torque;
-                          friction stops the motor
+    level 3    passive    the encoder is not believed any more, or neither base nor servo gives a number for two
+                          samples: no torque; friction stops the motor
 
     tau = (1 - p) clip((1 - s) (base + r residual) + s servo, -limit, limit)
 

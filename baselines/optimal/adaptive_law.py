@@ -83,7 +83,7 @@ def write_motor_torques(
         found: What is estimated of the arms.
         mean: z of them, shape (n, SIZE or ACCELEROMETER_SIZE).
         pairs: Rows of their plans before and after the time, shape (n, 2, 10).
-        time: At which the torques act, since the episode's start [samples], shape (n,).
+        time: At which the torques act, since the move's start [samples], shape (n,).
         torques: [N m], shape (n,), written.
     """
     for arm in range(len(time)):

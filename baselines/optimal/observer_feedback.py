@@ -22,7 +22,7 @@ class ObserverController(TunedController[Any]):
     """Base of controllers with an observer; a subclass names its `feedback_law`, and knows the design of `observer`."""
 
     feedback_law: ClassVar[Callable[..., float]]
-    """See `LawKernel.law`; of its memory only the estimate counts where an episode begins."""
+    """See `LawKernel.law`; of its memory only the estimate counts where a move begins."""
     correction: ClassVar[Correction] = staticmethod(correct)
     memory_size: ClassVar[int] = OWN
     _simulation: ArmSimulation | None = None  # of as many arms as there were so far

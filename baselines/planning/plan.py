@@ -142,14 +142,14 @@ def torque_between(low: Floats, high: Floats, share: float, x: Floats, last: flo
 
 @inlined
 def step_of_plan(time: float) -> tuple[int, float]:
-    """Row of a plan at or before a time since the episode's start [samples], and how far the time is beyond it."""
+    """Row of a plan at or before a time since the move's start [samples], and how far the time is beyond it."""
     step = min(int(time), EPISODE_STEPS - 2)
     return step, min(time - step, 1.0)
 
 
 @inlined
 def torque_of_plan(rows: Floats, time: float, x: Floats, last: float) -> float:
-    """Torque [N m] by the plan of one arm at a time since the episode's start [samples], see `torque_between`."""
+    """Torque [N m] by the plan of one arm at a time since the move's start [samples], see `torque_between`."""
     step, share = step_of_plan(time)
     return torque_between(rows[step], rows[step + 1], share, x, last)
 

@@ -57,7 +57,7 @@ class Start(NamedTuple):
     """Where a plan begins, and how often it is improved."""
 
     first: int  # sample since the move's start
-    time: float  # when commands begin to act, since the episode's start [samples]
+    time: float  # when commands begin to act, since the move's start [samples]
     state: Floats  # x then, shape (4,)
     improvements: int  # steps at most; fewer where there is nothing left to gain
 
@@ -108,7 +108,7 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem) -> None:
 
     Args:
         rows: Reference, gain, torque; shape (1200, 10). Changed.
-        time: At which the state is, since the episode's start [samples].
+        time: At which the state is, since the move's start [samples].
         state: x, shape (4,).
         problem: Arm and move.
     """

@@ -140,7 +140,7 @@ def _observed(design: AdrcDesign, now: Sample, measured: float, inertia: float, 
 
 @compiled
 def adrc_law(design: AdrcDesign, now: Sample, begins: bool, memory: Floats) -> float:
-    """Motor torque [N m] for one arm, see `LawKernel`; the arm is at rest where an episode begins."""
+    """Motor torque [N m] for one arm, see `LawKernel`; the arm is taken to rest where a move begins."""
     servo, corners = design.servo, memory[_MOVE]
     plant, gains = servo.plant, servo.gains
     if begins:

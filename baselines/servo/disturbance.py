@@ -81,7 +81,7 @@ def _observe(design: DisturbanceDesign, now: Sample, memory: Floats) -> None:
 
 @compiled
 def disturbance_law(design: DisturbanceDesign, now: Sample, begins: bool, memory: Floats) -> float:
-    """Motor torque [N m] for one arm, see `LawKernel`; nothing is known of the load where an episode begins."""
+    """Motor torque [N m] for one arm, see `LawKernel`; nothing is known of the load where a move begins."""
     plant, gains = design.servo.plant, design.servo.gains
     if begins:
         memory[LOAD], memory[FAST_LOAD] = 0.0, 0.0

@@ -101,12 +101,12 @@ def next_torsion(
 
 @inlined
 def simulated_rate(joint_speed: float, joint_angle: float, begins: bool, plant: Plant, memory: Floats) -> float:
-    """Simulated theta_s' [rad/s] at this sample; it and the torsion are zero where an episode begins.
+    """Simulated theta_s' [rad/s] at this sample; it and the torsion are zero where a move begins.
 
     Args:
         joint_speed: Measured theta_1' [rad/s].
         joint_angle: Measured theta_1 [rad].
-        begins: Whether an episode begins.
+        begins: Whether a move begins.
         plant: The arm.
         memory: Written, shape (3,).
     """

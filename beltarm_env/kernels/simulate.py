@@ -120,7 +120,7 @@ def move_towards(x: Floats, before: Floats, after: Floats, samples: float, k: in
 
 @compiled
 def load_arms(blocks: Floats, table: Floats, steps: Floats, model: Model) -> None:
-    """Load n arms; `steps` are the samples of the episode that they are at, or empty for friction that is held."""
+    """Load n arms; `steps` are the samples of the move that they are at, or empty for friction that is held."""
     for i in range(len(table)):
         block, lane = blocks[i // LANES], i % LANES
         load_arm(block, lane, table[i], model)

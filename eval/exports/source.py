@@ -1,4 +1,4 @@
-"""Sources of C for a controller: its kernels, translated, between a header and the three functions that one calls."""
+"""Sources of C for a controller: its kernels, translated, between a header and the four functions that one calls."""
 
 import math
 import re
