@@ -33,7 +33,7 @@ help:  ## Show this list
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-8s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
-compare: $(READY_COMPARE)  ## Compare all controllers, a first look of about a minute (with ARGS: as it says, without --quick): report.html in results/compare
+compare: $(READY_COMPARE)  ## Compare all controllers, with --quick in about a minute, or with ARGS in its place: results/compare/report.html
 	$(BIN)/python eval/compare.py $(or $(ARGS),--quick)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo

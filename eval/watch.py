@@ -43,7 +43,7 @@ class Config:
     """Number of the scenario in its split."""
     scenario_seed: int | None = None
     """Take the scenario from the fresh set that `eval/compare.py --scenario-seed` draws, where there are up to
-    10000000."""
+    3000000."""
     speed: float = 0.25
     """Seconds of the arm's time per second of film."""
     out: Path | None = None
@@ -58,8 +58,8 @@ def watch(config: Config) -> None:
         raise ValueError(f"--speed must lie within 0.01 and 10, got {config.speed:g}")
     if config.out is not None:
         side_by_side.require_writer(config.out)
-    count = len(config.controller) + len(config.policy)
-    if count > side_by_side.AT_MOST:
+        require_writable(config.out.parent)
+    if (count := len(config.controller) + len(config.policy)) > side_by_side.AT_MOST:
         raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")
     (name,) = chosen("split", (config.split,), SPLITS)
     if config.scenario_seed is None:
@@ -67,8 +67,6 @@ def watch(config: Config) -> None:
     else:
         split, scenario = fresh_scenarios(config.scenario_seed, name, [config.scenario]), 0
     methods = methods_side_by_side(config.controller, config.policy)
-    if config.out is not None:
-        require_writable(config.out.parent)
     window = side_by_side.open_window(len(methods)) if config.out is None else None
     tracks = [
         side_by_side.Track(name, side_by_side.motion_of(name, method, split, scenario))

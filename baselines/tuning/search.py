@@ -24,7 +24,7 @@ fall short is noted as a constraint: the estimator ranks them by it, behind all 
 `MAX_REFUSED` of them. The untuned gains have to pass.
 
 The budget counts simulated control periods of single arms, those of pruned, failed and interrupted trials too. It is
-never exceeded, but for the batch of arms that an interruption breaks off, which is simulated again.
+never exceeded, but for what an interruption breaks off, a batch of arms or the choice, which is simulated again.
 
 [1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
 """
@@ -43,6 +43,8 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import wilcoxon
 
+import baselines
+import beltarm_env
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Gains, Tunable
 from baselines.loops.condition import MarginCondition, least_margins
@@ -52,6 +54,7 @@ from baselines.tuning.study import ask, open_study, own, repeat_interrupted
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Controller, rollout
+from beltarm_env.sources import sources_digest
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
@@ -162,10 +165,11 @@ def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
     """Open the study of a search, or begin one; what was interrupted is to be repeated.
 
     Raises:
-        ValueError: If the journal is damaged, or was begun with another seed, other gains, margins or moves.
+        ValueError: If the journal is damaged, or was begun with another seed, other code, gains, margins or moves.
     """
     condition = terms.condition
     begun = {
+        "code": sources_digest(*(Path(package.__file__ or "").parent for package in (beltarm_env, baselines)))[:12],
         "seed": terms.seed,
         "moves": terms.moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},

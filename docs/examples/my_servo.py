@@ -1,6 +1,6 @@
 """A servo law of one's own, which can be compared and exported to a drive's processor.
 
-    python eval/compare.py --add docs/examples/my_servo.py:MyServo --scenarios development --out results/mine
+    python eval/compare.py --add docs/examples/my_servo.py:MyServo --scenarios development --out results/my-scores
     python eval/export.py c docs/examples/my_servo.py:MyServo --out results/my-servo
 
 Feedforward of the arm's torque along the reference, and feedback of the motor's angle and filtered speed.
@@ -50,6 +50,7 @@ def my_law(design: Design, now: Sample, begins: bool, memory: Floats) -> float:
 class MyServo(ScalarController):
     """The law as a controller; made without arguments."""
 
+    profile = None  # the law follows the reference that it observes, of any shape
     memory_size = 1
 
     def __init__(self) -> None:

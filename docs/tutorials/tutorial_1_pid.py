@@ -155,6 +155,6 @@ for name in ("paper", "zvd", "flat", "adaptive"):
 # .. code-block:: sh
 #
 #    python eval/check_controller.py mine.py:MyController
-#    make compare ARGS="--add mine.py:MyController --methods adaptive --scenarios development --out results/mine"
+#    make compare ARGS="--add mine.py:MyController --methods adaptive --scenarios development --out results/my-pid"
 #
 # ``docs/examples/my_controller.py`` is such a file.

@@ -98,5 +98,5 @@ for axes in (error, torque):
 # .. code-block:: sh
 #
 #    make train     # PPO on `paper`, saved in runs/ppo
-#    make compare ARGS="--policy runs/ppo/best --scenarios development --out results/mine"
+#    make compare ARGS="--policy runs/ppo/best --scenarios development --out results/my-residual"
 #    python train/student.py --seeds 5 --jobs 2     # a student on `adaptive`

@@ -156,7 +156,7 @@ SCHEMA = object_of(
     primary=list_of(_PRIMARY),
     rows=list_of(_ROW),
     paired=list_of(_COMPARED),
-    failures=list_of(object_of(method=TEXT, split=TEXT, message=TEXT)),  # methods that could not be run to the end
+    failures=list_of(object_of(method=TEXT, split=TEXT, message=TEXT)),  # could not be run to the end, or not again
 )
 """JSON Schema (2020-12) of `results.json`."""
 

@@ -32,7 +32,7 @@ from beltarm_env import BeltArmVectorEnv, __version__
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.observation import LAYOUT, Sensors
-from beltarm_env.rollout import Controller, check_data_sheet, nominal_params, rollout
+from beltarm_env.rollout import Controller, check_data_sheet, check_profile, nominal_params, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import EDITION
 from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_SEED, dataset_arms
@@ -262,6 +262,7 @@ def run_episodes(
     env = BeltArmVectorEnv(len(seeds), autoreset_mode=AutoresetMode.DISABLED, **settings)
     seen, _ = env.reset(seed=seeds)
     check_data_sheet(nominal_params(controller), env.params_table, name)
+    check_profile(controller, env.profile)
     params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
     samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []
     for k in range(EPISODE_STEPS):

@@ -50,7 +50,7 @@ _COMMENT = re.compile(r"^ +(\w+): float = \S+ +# (.*?) *\[([^]]*)\][ ,]*(.*)$", 
 _ASSUMED = re.compile(r" *\(a\)")
 _PLATFORMS = {
     "linux64": ("Linux x86_64", "x86_64-linux-gnu", ".so"),
-    "win64": ("Windows", "x86_64-windows-gnu", ".dll"),
+    "win64": ("Windows AMD64", "x86_64-windows-gnu", ".dll"),
     "darwin64": ("Darwin x86_64 arm64", "x86_64-macos", ".dylib"),
     "aarch64-linux": ("Linux aarch64", "aarch64-linux-gnu", ".so"),
 }

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share", NOT_ARRIVED)
 """Metrics of the card."""
-_GUARDED = "+guard"
 
 
 @dataclass(frozen=True)
@@ -84,12 +83,14 @@ def _method_of(digest: str, results: Mapping[str, Any], path: Path) -> str | Non
     ran = results["provenance"].get("policies", [])
     if digest not in ran:
         return None
-    seeds = {row["method"]: row["seeds"] for row in results["rows"] if row["kind"] == "learned"}
+    rows = [row for row in results["rows"] if row["kind"] == "learned"]
+    whole = max((row["split"] for row in rows), key=[row["split"] for row in rows].count, default="")
+    seeds = {row["method"]: row["seeds"] for row in rows if row["split"] == whole}  # in the order of the policies
     owners = [name for name, count in seeds.items() for _ in range(count)]
     if len(owners) != len(ran):
         raise ValueError(f"{path} lists {len(ran)} policies, its rows have {len(owners)}: run the comparison again")
     own = [name for name, hashed in zip(owners, ran, strict=True) if hashed == digest]
-    return next((name for name in own if not name.endswith(_GUARDED)), None)
+    return next((name for name in own if not name.endswith("+guard")), None)
 
 
 def eval_results(scores: Scores) -> list["EvalResult"]:

@@ -65,7 +65,7 @@ def _shown(comparison: Comparison) -> list[str]:
     classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
     by_cost = sorted(classical, key=lambda outcome: outcome.cost)
     own = [outcome for outcome in sorted(ranked, key=lambda outcome: outcome.cost) if not is_shipped(outcome.method)]
-    needed = dict.fromkeys(outcome.name for outcome in [*own, *challengers[:1], *bases, *ranked[:1], *best])
+    needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *own, *bases, *ranked[:1], *best])
     wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *by_cost])])
     return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
 

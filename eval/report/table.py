@@ -285,7 +285,8 @@ def _estimate(metric: str) -> Show:
 
 
 def _share(value: float) -> Cell:
-    return Cell(f"{value:.0%}" if value == value else "–", value=value if value == value else None)
+    text = "<1%" if 0 < value < 0.005 else f"{value:.0%}"
+    return Cell(text, value=value) if value == value else Cell("–")
 
 
 def _unsettled(row: Record) -> float:
@@ -296,7 +297,7 @@ def _tail(row: Record) -> tuple[str, ...]:
     """Mean and worst 5 % of the cost, and how many runs failed, if any."""
     left, away = row["failures"]["left_workspace"], estimate(row, NOT_ARRIVED).iqm
     averages = [number(row.get(key, nan), 0) for key in ("cost_mean", "cost_worst")]
-    counts = [f"{_unsettled(row):.0%} fail"] if _unsettled(row) else []
+    counts = [f"{_share(_unsettled(row)).text} fail"] if _unsettled(row) else []
     counts += [f"{left} left"] if left else []
-    counts += [f"{away:.0%} not arrived"] if away > 0 else []
+    counts += [f"{_share(away).text} not arrived"] if away > 0 else []
     return (" / ".join(averages), *([", ".join(counts)] if counts else []))

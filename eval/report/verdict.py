@@ -100,7 +100,7 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     pair, home = comparison.primary_pair(), comparison.main_split
     if pair is None:
         best = [comparison.best_classical(split) for split in comparison.splits()]
-        failed = any(failure.method not in CONTROLLERS for failure in comparison.failures)
+        failed = any(f.method.removesuffix("+guard") not in {*CONTROLLERS, "privileged"} for f in comparison.failures)
         return _sentences(pair=pair, leaders=[one for one in best if one], failed=failed, away=[]), []
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]

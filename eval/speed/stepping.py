@@ -99,7 +99,7 @@ def times_in_turns(runs: Sequence[Callable[[], object]], repetitions: int) -> Fl
 def speed(what: str, steps: int, times: Floats, peer: str, steps_of_peer: int, times_of_peer: Floats) -> Row:
     """Row of a speed, from the times that so many steps took in each repetition [s]."""
     rates, of_peer = steps / times, steps_of_peer / times_of_peer
-    ratios = np.quantile(rates / of_peer, [0.25, 0.5, 0.75]).tolist()
+    ratios = np.quantile(rates / of_peer, [0.25, 0.5, 0.75] if len(times) > 1 else [0.5]).tolist()
     return Row(what, float(np.median(rates)), "steps/s", peer, float(np.median(of_peer)), tuple(ratios))
 
 
@@ -156,8 +156,8 @@ def single_rows(steps: int, repetitions: int) -> list[Row]:
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
-    """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and on one core."""
-    repetitions, end = max(repetitions // 5, 1), f", N = {_ROLLED_OUT}"
+    """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and one thread."""
+    repetitions, end = max(repetitions // 5, 1), f", {usual_threads()} threads, N = {_ROLLED_OUT}"
 
     def played(controller: Controller) -> Work:
         run = partial(rollout, controller, _ROLLED_OUT, seed=0, randomization="train")
@@ -167,7 +167,7 @@ def rollout_rows(repetitions: int) -> list[Row]:
     student = played(load_controller(POLICIES / "student" / "seed0"))
     runs = {f"rollout, adaptive{end}": (steps, adaptive), f"rollout, student, seed 0{end}": student}
     alone = steps, patch.dict(os.environ, OMP_NUM_THREADS="1")(lambda: adaptive())
-    together = {f"rollout, adaptive, {usual_threads()} threads{end}": (steps, adaptive)}
+    together = {f"rollout, adaptive{end}": (steps, adaptive)}
     return [
         *beside("paper", played(PaperController()), runs, repetitions),
         *beside("1 thread", alone, together, repetitions),

@@ -142,8 +142,8 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     chosen = sorted(pages(wanted), key=lambda page: state(page, page.committed).seconds)
     for page in chosen:
         folder = MEASURED / page.name
-        verdict, at, _ = state(page, folder)
-        if (verdict, at) == ("fresh", here):
+        drawn = max((path.stat().st_mtime for path in folder.glob(PAGE)), default=0.0)  # it is written last
+        if state(page, folder)[:2] == ("fresh", here) and drawn >= (folder / page.data).stat().st_mtime:
             yield page.name, "measured before"
             continue
         yield page.name, "is measured"

@@ -127,7 +127,7 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Levels at the upper ends of the training ranges, and what the sentences name."""
     levels = _Levels(data)
     names, columns = levels.controllers, (IDEAL, *levels.effects)
-    lost = {name: sum(levels(name, effect, "left") for effect in levels.effects) for name in names}
+    lost = {name: sum(sum(levels.rows[name, effect]["left"]) for effect in levels.effects) for name in names}
     return {
         "levels": levels,
         "columns": columns,

@@ -21,7 +21,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
 from eval.exports.compilers import PROCESSORS, SINGLE, Footprint, footprint, native, processors_for
-from eval.exports.in_the_loop import Agreement, compare, program_for
+from eval.exports.in_the_loop import Agreement, StepTimes, compare, program_for
 from eval.exports.program import controller_of, exportable, loop_of, write_program
 from eval.exports.source import Loop
 from eval.studies._frame import Bounds, StudyOptions
@@ -107,8 +107,8 @@ def _row(name: str, splits: list[Split], episodes: int) -> dict[str, Any]:
 
 
 def _slowest(programs: list[Agreement]) -> dict[str, float]:
-    """Times [us] on the split with the longest sample."""
-    return max((each.times for each in programs), key=lambda times: times.longest)._asdict()
+    """Times [us], each the largest of all splits."""
+    return {name: max(getattr(each.times, name) for each in programs) for name in StepTimes._fields}
 
 
 def _excess(programs: list[Agreement]) -> float:
