@@ -61,7 +61,9 @@ class Kernels(BuildHookInterface):
         return THIS.get((platform.system(), MACHINES.get(machine, machine)))
 
 
-CHOICES = ("lumped", "lagrangian"), ("off", "train"), ("encoder", "tip", "full", "accelerometer")
+RANGES = {"payload_mass": (0.1, 0.2)}, {"belt_stiffening": (0.1, 0.2)}
+"""Of a user's own, as a mapping: of an ideal drive and of a real one."""
+CHOICES = ("lumped", "lagrangian"), ("off", "train", *RANGES), ("encoder", "tip", "full", "accelerometer")
 """Of model, randomization and sensors."""
 
 
@@ -78,6 +80,8 @@ def use_everything() -> None:
         state_derivative,
         state_space,
     )
+    from beltarm_env.arm import plant_of
+    from beltarm_env.physics.drive import belt_motions, built_drive
     from beltarm_env.rollout import rollout
     from beltarm_env.simulation import ArmSimulation
 
@@ -108,6 +112,8 @@ def use_everything() -> None:
         state_derivative(np.zeros(4), 0.1, params, model)
         state_space(params, 0.5, model=model)
         sampled_state_space(params, 0.5, model)
+        for states in (np.zeros((2, 4)), np.zeros((2, 2, 4))[:, 0]):  # of one arm, and of one among several
+            belt_motions(states, plant_of(params.row()), built_drive(params.row()))
         arms = ArmSimulation(params, 2, model)
         states = arms.advance(arms.at_rest(np.zeros(2)), np.zeros(2))
         arms.ahead(states, np.zeros(2), np.ones(2))

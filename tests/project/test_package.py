@@ -128,7 +128,7 @@ import beltarm_env
 beltarm_env.BeltArmEnv()
 """
 EPISODE = """
-import beltarm_env, gymnasium, importlib.metadata, importlib.util, numpy
+import beltarm_env, copy, gymnasium, importlib.metadata, importlib.util, numpy
 print(beltarm_env.__file__)
 print(beltarm_env.__version__ == importlib.metadata.version("beltarm-env"))
 print([name for name in ("baselines", "agents", "train", "eval") if importlib.util.find_spec(name)])
@@ -139,8 +139,8 @@ while not over:
     *_, terminated, truncated, info = env.step(numpy.zeros(1, numpy.float32))
     steps, over = steps + 1, terminated or truncated
 print(steps, truncated, info["total_cost"] > 0)
-envs = gymnasium.make_vec("BeltArm-v0", num_envs=2)
-envs.reset(seed=0)
+envs = gymnasium.make_vec("BeltArm-v0", num_envs=2, moves=2, randomization={"payload_mass": (0.1, 0.3)})
+copy.deepcopy(env).reset(seed=0), envs.reset(seed=0)
 print(envs.step(numpy.zeros((2, 1)))[0].shape)
 """
 
