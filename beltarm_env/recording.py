@@ -179,7 +179,7 @@ class Recording:
         return columns | {name: self.tip_error[:, :, k].T.ravel() for k, name in enumerate(_ERRORS)}
 
     def plot(self) -> Figure:
-        """Draw the tip's error, the torque, and the belt's torsion and its rate, of ten moves, each in one colour.
+        """Draw the tip's error, the torque, the belt's torsion and its rate, of ten moves at most, each in one colour.
 
         Returns:
             The figure: a notebook shows it, `savefig` writes it.

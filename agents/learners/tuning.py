@@ -44,7 +44,6 @@ from baselines.tools.command import require_bounds, this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups, note_options, noted_options
 from baselines.tuning import study as studies
-from beltarm_env.sources import sources_digest
 
 _FIRST_SEED, _SEEDS = 50, 50  # training seeds of trials; a run to be reported has one below
 _VALIDATIONS = 10  # per trial
@@ -142,11 +141,10 @@ def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
         ValueError: If the journal is damaged, or was begun with other code or options.
     """
     begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
-    packages = ("beltarm_env", "baselines", "agents")
-    begun["code"] = sources_digest(*(Path(__file__).parents[2] / name for name in packages))[:12]
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3)
-    remedy = "give the same options, or choose another --out"
-    return studies.open_study(config.file("journal"), begun, pruner, remedy=remedy, storage=storage)
+    packages, remedy = ("beltarm_env", "baselines", "agents"), "give the same options, or choose another --out"
+    journal = config.file("journal")
+    return studies.open_study(journal, begun, pruner, packages=packages, remedy=remedy, storage=storage)
 
 
 def tune(

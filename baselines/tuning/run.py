@@ -109,7 +109,7 @@ def tune(config: TuningConfig, console: Console) -> None:
         Interrupted: If a signal asked to stop; the journals are in order.
     """
     names = config.chosen()
-    if not config.margins and config.out == FILE:
+    if not config.margins and config.out.resolve() == FILE.resolve():
         raise ValueError(f"--no-margins is not for {FILE.name}: give another file with --out")
     read_file(config.out)
     require_writable(config.out.parent)

@@ -43,8 +43,6 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import wilcoxon
 
-import baselines
-import beltarm_env
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Gains, Tunable
 from baselines.loops.condition import MarginCondition, least_margins
@@ -54,7 +52,6 @@ from baselines.tuning.study import ask, open_study, own, repeat_interrupted
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Controller, rollout
-from beltarm_env.sources import sources_digest
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
@@ -169,13 +166,13 @@ def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
     """
     condition = terms.condition
     begun = {
-        "code": sources_digest(*(Path(package.__file__ or "").parent for package in (beltarm_env, baselines)))[:12],
         "seed": terms.seed,
         "moves": terms.moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
         "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
     }
-    study = open_study(journal, begun, optuna.pruners.NopPruner(), remedy="tune anew, without --resume")
+    packages, remedy = ("beltarm_env", "baselines"), "tune anew, without --resume"
+    study = open_study(journal, begun, optuna.pruners.NopPruner(), packages=packages, remedy=remedy)
     repeat_interrupted(study)
     return study
 

@@ -22,6 +22,9 @@ from optuna.storages import BaseStorage, JournalStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from beltarm_env.sources import sources_digest
+
+_ROOT = Path(__file__).resolve().parents[2]
 _REPEATS = "repeats"  # attribute of a trial that repeats an interrupted one: the place of that
 _WORKER = "worker"
 
@@ -66,7 +69,13 @@ def storage_in(journal: Path) -> JournalStorage:
 
 
 def open_study(
-    journal: Path, begun: Mapping[str, Any], pruner: BasePruner, *, remedy: str, storage: BaseStorage | None = None
+    journal: Path,
+    begun: Mapping[str, Any],
+    pruner: BasePruner,
+    *,
+    packages: Sequence[str],
+    remedy: str,
+    storage: BaseStorage | None = None,
 ) -> optuna.Study:
     """Open the study in a journal, or begin one.
 
@@ -74,6 +83,7 @@ def open_study(
         journal: Its file.
         begun: What must be the same whenever the study goes on, as JSON has it.
         pruner: Ends trials early.
+        packages: Of this project, whose code must be the same too.
         remedy: What to do about a journal that is damaged or of another study.
         storage: Where the study is instead, for a machine that does not see the file.
 
@@ -86,6 +96,7 @@ def open_study(
         study = optuna.create_study(study_name="tuning", storage=storage, load_if_exists=True, pruner=pruner)
     except (KeyError, ValueError) as error:
         raise ValueError(f"{journal} is damaged ({error}): {remedy}") from None
+    begun = {"code": sources_digest(*(_ROOT / package for package in packages))[:12], **begun}
     noted = study.user_attrs.get("begun", begun)
     if noted != begun:
         other = [name for name in begun if noted.get(name) != begun[name]]

@@ -1,6 +1,6 @@
 """A servo law of one's own, which can be compared and exported to a drive's processor.
 
-    python eval/compare.py --add docs/examples/my_servo.py:MyServo --scenarios development --out results/my-scores
+    python eval/compare.py --add docs/examples/my_servo.py:MyServo --scenarios development --out results/my-servo-scores
     python eval/export.py c docs/examples/my_servo.py:MyServo --out results/my-servo
 
 Feedforward of the arm's torque along the reference, and feedback of the motor's angle and filtered speed.

@@ -47,7 +47,7 @@ for name, controller in {"paper": CONTROLLERS["paper"](), "mine": controller_of(
 #
 #    python eval/check_controller.py docs/examples/my_servo.py:MyServo
 #    python eval/compare.py --add docs/examples/my_servo.py:MyServo --methods flat \
-#        --scenarios development --out results/my-scores
+#        --scenarios development --out results/my-law
 #
 # Export it
 # ---------

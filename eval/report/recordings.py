@@ -54,8 +54,8 @@ def _median(values: np.ndarray) -> int:
 def _shown(comparison: Comparison) -> list[str]:
     """Methods in all pictures: the same in each, so that a colour is one method.
 
-    The user's own, the best challenger, its base, the first method, the best classical controller of each split, and as
-    far as there is room the next challenger and the next classical ones.
+    The best challenger, the user's own, the challenger's base, the first method, the best classical controller of each
+    split, and as far as there is room the next challenger and the next classical ones.
     """
     home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]

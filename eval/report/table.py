@@ -285,8 +285,7 @@ def _estimate(metric: str) -> Show:
 
 
 def _share(value: float) -> Cell:
-    text = "<1%" if 0 < value < 0.005 else f"{value:.0%}"
-    return Cell(text, value=value) if value == value else Cell("–")
+    return Cell("<1%" if 0 < value <= 0.005 else f"{value:.0%}", value=value) if value == value else Cell("–")
 
 
 def _unsettled(row: Record) -> float:

@@ -142,8 +142,9 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     chosen = sorted(pages(wanted), key=lambda page: state(page, page.committed).seconds)
     for page in chosen:
         folder = MEASURED / page.name
-        drawn = max((path.stat().st_mtime for path in folder.glob(PAGE)), default=0.0)  # it is written last
-        if state(page, folder)[:2] == ("fresh", here) and drawn >= (folder / page.data).stat().st_mtime:
+        files = [folder / path.name for path in page.committed.iterdir() if path.suffix != ".j2"]
+        oldest = min((path.stat().st_mtime if path.exists() else 0.0 for path in files), default=0.0)
+        if state(page, folder)[:2] == ("fresh", here) and oldest >= (folder / page.data).stat().st_mtime:  # it is first
             yield page.name, "measured before"
             continue
         yield page.name, "is measured"

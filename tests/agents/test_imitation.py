@@ -100,8 +100,9 @@ def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Record
     changes, curvatures = best_changes(recording)
     for arm in range(3):
         law = Law(recording, arm)
-        samples, single, step = (k := np.arange(20, 1000, 70)), np.eye(EPISODE_STEPS)[k], 2e-6
-        up, down = law.cost(np.concatenate([step * single, -step * single])).reshape(2, -1)
+        samples, step = np.arange(20, 1000, 70), 2e-6
+        single = step * np.eye(EPISODE_STEPS)[samples]
+        up, down = law.cost(np.concatenate([single, -single])).reshape(2, -1)
         reported = -2 * (curvatures * changes)[samples, arm] / law.limit
         actual = (up - down) / (2 * step)
         moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0

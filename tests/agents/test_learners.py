@@ -111,6 +111,7 @@ def test_bad_options(name: str, options: dict[str, Any], words: str, tmp_path: P
 
 
 def few(out: Path, **options: Any) -> TuningConfig:
+    out.mkdir(exist_ok=True)
     common = {"trials": 2, "jobs": 1, "samples": 2560, "arms": 4, "validation_arms": 2}
     return TuningConfig("sac", **{"out": out, **common, **options})
 
@@ -174,8 +175,6 @@ def test_a_search_interrupted_again_and_again_is_the_uninterrupted_one(tmp_path:
         run_trials(config, 0, Channel(stop=StopAfter(looks)))
 
     whole, parts = (few(tmp_path / name, trials=12) for name in ("whole", "parts"))
-    for config in (whole, parts):
-        config.out.mkdir()
     begun_again(whole, 10_000)
     for looks in (15, 1, 8, 30, 2):
         begun_again(parts, looks)
@@ -186,6 +185,8 @@ def test_a_search_interrupted_again_and_again_is_the_uninterrupted_one(tmp_path:
     assert ours == theirs
     assert len({str(params) for params, *_ in ours}) == len(ours) == 12 < len(studies[0].get_trials())
     assert not studies[0].get_trials(states=(TrialState.RUNNING,))
+    monkeypatch.setattr("baselines.tuning.study.sources_digest", lambda *_: "other code")
+    refused(ValueError, ("code", "not other code"), lambda: tune(replace(parts, resume=True)))
 
 
 def test_bad_options_and_a_damaged_study(tmp_path: Path):

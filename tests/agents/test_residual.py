@@ -74,16 +74,14 @@ class Silent:
 
 def test_what_does_not_fit_is_refused():
     paper, batch, single = CONTROLLERS["paper"], many(3), single_env()
-    settings: Any = ResidualSettings
     other = ResidualController(CONTROLLERS["ei"](params=ArmParams(gear_ratio=100.0)), Silent(), SETTINGS)
     weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
-    smooth = BeltArmVectorEnv(2, autoreset_mode="SameStep", profile="quintic")
     refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
     single.reset(seed=0)
     batch.reset()
     calls: list[tuple[tuple[str, ...], Callable[[], object]]] = [
-        *((("limit", repr(v)), partial(settings, limit=v)) for v in (0, 2.1, math.nan, "0.5")),
-        *((("hold", repr(v)), partial(settings, hold=v)) for v in (0, 101, 4.0, True)),
+        *((("limit", repr(v)), partial(replace, SETTINGS, limit=v)) for v in (0, 2.1, math.nan, "0.5")),
+        *((("hold", repr(v)), partial(replace, SETTINGS, hold=v)) for v in (0, 101, 4.0, True)),
         (("NextStep", "SameStep"), lambda: ResidualVecEnv(BeltArmVectorEnv(2), paper(), SETTINGS)),
         (("BeltArm",), lambda: ResidualEnv(gym.make("CartPole-v1"), paper(), SETTINGS)),
         *(((str(shape), "(3, 1)"), partial(batch.step, np.zeros(shape))) for shape in ((3,), (1, 1), (3, 2), ())),
@@ -92,8 +90,8 @@ def test_what_does_not_fit_is_refused():
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),
         (("gear_ratio 100.0", "88.0"), lambda: single.reset(options={"params": {"gear_ratio": 100.0}})),
         (("'scurve'", "'trapezoid'"), lambda: rollout(other, 2, profile="scurve")),
-        (("'quintic'",), lambda: ResidualVecEnv(smooth, CONTROLLERS["zv"](), SETTINGS)),
-        (("'quintic'",), lambda: ResidualEnv(BeltArmEnv(profile="quintic"), CONTROLLERS["zv"](), SETTINGS)),
+        (("'scurve'",), lambda: ResidualVecEnv(batch.env, CONTROLLERS["zv"](), SETTINGS)),
+        (("'scurve'",), lambda: ResidualEnv(single.env, CONTROLLERS["zv"](), SETTINGS)),
         (("torque_limit 0.2", "0.3"), lambda: ResidualVecEnv(weak, paper(), SETTINGS).reset()),
     ]
     for words, call in calls:

@@ -20,7 +20,7 @@ from waiting import until
 
 from baselines import TUNABLE, PaperController, PaperGains, gains
 from baselines.engines.parallel import Channel
-from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
+from baselines.gains import FILE, Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.loops.condition import MarginCondition
 from baselines.servo.paper import RetunedController, RetunedGains
 from baselines.tune import main
@@ -281,7 +281,6 @@ def test_a_resumed_search_keeps_options_it_is_not_given(tmp_path: Path, tune: An
     for kept in ("budget", "moves", "seed", "steps", "margins"):
         assert again["provenance"][kept] == first["provenance"][kept]
     tune(other, "--no-margins", "--moves", "1", "--budget", str(MIN_BUDGET), "--out", "gains.json")
-    capsys.readouterr()
     assert "seed" in mistake(main, (name, "--seed", "4", "--resume"), tmp_path)
     together = mistake(main, (*NAMES, "--resume"), tmp_path)
     assert name in together and other in together
@@ -296,6 +295,7 @@ def test_a_resumed_search_keeps_options_it_is_not_given(tmp_path: Path, tune: An
         ((NAMES[0], "--seed", "-1"), "--seed"),
         ((NAMES[0], "--moves", "0"), "--moves"),
         ((NAMES[0], "--resume"), "--resume"),
+        ((NAMES[0], "--no-margins", "--out", str(FILE.parent / "tuning" / ".." / FILE.name)), "--no-margins"),
         ((NAMES[0], "--out", "/dev/null/gains.json"), "/dev/null"),
         ((NAMES[0], "--journals", "/dev/null/x"), "/dev/null/x"),
         ((NAMES[0], "--out", "damaged.json"), "damaged.json"),
