@@ -26,11 +26,13 @@ from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.tools.command import require_bounds, require_known
 from beltarm_env import ArmParams
+from beltarm_env.arm import params_table
+from beltarm_env.rollout import check_data_sheet, check_profile
 from eval.comparison import custom
 from eval.comparison.sets import development_set
 from eval.exports.compilers import FLAGS, footprint, native, processors_for
 from eval.exports.folder import require_free, write_export
-from eval.exports.in_the_loop import compare
+from eval.exports.in_the_loop import InTheLoop, compare
 from eval.exports.kernels import Filtering, Guarded, GuardMemory, Learned, classical, learned, step_of
 from eval.exports.source import TEMPLATES, Loop, sources
 
@@ -108,7 +110,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         plan_samples: Over how many samples a plan that is made anew is spread, where `adaptive` plans.
 
     Raises:
-        ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
+        ValueError: If there is no such controller, no program does what it does, or the policy is missing or damaged.
     """
     if _is_classical(source):
         name, base_name, residual, base = _name_of(source), source, 0.0, _classical(source)
@@ -129,6 +131,8 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
+    check_data_sheet(params, params_table([params]), name)  # its motor turns no further than what is measured shows
+    check_profile(base, InTheLoop.profile)
     remembers = bool(getattr(base, "remembers", False))
     step, design, memory = step_of(propose, remembers=remembers), Guarded(design), Guarded(memory)
     if guard:
