@@ -41,8 +41,7 @@ from eval.report.table import Record, Results, estimate, to_terminal
 from eval.report.text import degrees
 from eval.report.verdict import verdict
 
-_MOTIONS: dict[str, figures.Draw] = {"tip_error.png": figures.tip_error, "residual.png": figures.tip_after}
-_MOTIONS |= {"torque.png": figures.torque}
+_MOTIONS = {"tip_error.png": figures.tip_error, "residual.png": figures.tip_after, "torque.png": figures.torque}
 _ACROSS = 3  # splits side by side
 _ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
 _DRAWN = 1000.0  # cost up to which a method has bars; others would hide all differences
