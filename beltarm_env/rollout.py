@@ -19,6 +19,7 @@ from beltarm_env.observation import ENTRIES, index
 from beltarm_env.physics.kinematics import HIGHEST
 from beltarm_env.recording import Recording
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.reference import PROFILES
 from beltarm_env.timing import EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
 
@@ -74,7 +75,7 @@ def nominal_params(controller: Controller) -> ArmParams | None:
 def nominal_profile(controller: object) -> str | None:
     """The shape of the reference that a controller rebuilds, if it says so in an attribute `profile`."""
     profile = getattr(controller, "profile", None)
-    return profile if isinstance(profile, str) else None
+    return profile if isinstance(profile, str) and profile in PROFILES else None
 
 
 def check_profile(controller: object, profile: str) -> None:

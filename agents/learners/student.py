@@ -38,15 +38,16 @@ from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.settings import RunConfig
 from agents.runs.training import TrainingMonitor
-from baselines.tools.command import require_bounds
+from baselines.tools.command import require_bounds, require_known
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.ranges import RANGES
+from beltarm_env.task.ranges import RANGES, SHIFT_RANGES, resolve_ranges
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 MAX_GRADIENT = 5.0
 """Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
+_HUBER = 0.2  # threshold of the loss, as a share of the torque limit
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,8 @@ class StudentConfig(RunConfig):
     """Episodes in each gradient step."""
     segment: int = 150
     """Holds in each gradient step, through which gradients go back; the memory goes on from the last segment."""
-    huber: float = 0.2
-    """Threshold of the Huber loss, as a share of the torque limit."""
+    nominal: tuple[str, ...] = ()
+    """Constants that do not vary in training, such as presliding_deflection or payload_mass, and are nominal."""
 
     @property
     def samples(self) -> int:
@@ -107,7 +108,8 @@ class StudentConfig(RunConfig):
         """Check the options, see `RunConfig.check`."""
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
         require_bounds(self, gru_width=(0, None), segment=(1, None))
-        self.positive("huber", "torque_price")
+        self.positive("torque_price")
+        require_known(self.nominal, SHIFT_RANGES, "--nominal: no constant that varies in training is called {}")
         if self.moves > 1 and EPISODE_STEPS % self.hold:
             raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
         if self.rounds * self.arms > SEED_SPACING:
@@ -181,8 +183,9 @@ class Student:
         """Make this round's moves, on arms that no round has seen."""
         config, recorder = self.config, Recorder(NetworkPolicy(self.actor().weights()), self.pause)
         controller = ResidualController(make_base(config.base, config.sensors), recorder, config.residual)
-        ranges = RANGES[config.randomization] if self.rounds % 2 else config.randomization
-        task = {"randomization": ranges, "moves": config.moves, "sensors": config.sensors}
+        ranges = resolve_ranges(RANGES[config.randomization] if self.rounds % 2 else config.randomization, config.moves)
+        ranges = {name: pair for name, pair in ranges.items() if name not in config.nominal}
+        task: dict[str, Any] = {"randomization": ranges, "moves": config.moves, "sensors": config.sensors}
         first = training_arms(config.seed).first + self.rounds * config.arms
         return rollout(controller, config.arms, seed=first, **task), recorder
 
@@ -229,7 +232,7 @@ class Student:
                     features, memory = network.features(seen.float(), memory)
                     memory = None if memory is None else memory.detach()
                     error = (network.layers(features)[..., 0] - best) * config.residual_limit
-                    losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
+                    losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=_HUBER)
                     self._regression.step(_SCALE * (weight * losses).mean(), rate)
                     errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")

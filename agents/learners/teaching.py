@@ -16,10 +16,9 @@ The slope q is that of the student's own cost: what the best later torques are d
 which `tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of
 its torques lowers its expected cost, and fitting u to y with weights w is a Gauss-Newton step towards there.
 
-Of a shift every move is advised on by itself, in the state that it begins in. A price keeps a motor from being pushed
-to and fro: per sample, p_0 tau^2 of the whole torque over its limit while the motor is at rest, where torque changes
-nothing, and p u^2 of the residual alone while it turns. A motor that gives before it slips turns on its spring where
-another one would stick: it is charged p.
+Of a shift every move is advised on by itself, in the state that it begins in. A price of p u^2 for each sample of the
+residual, over the torque limit, keeps it small where it changes little, as while the motor sticks. It is not of the
+whole torque: a student that takes the base's torque away while the motor rests makes it reverse more often.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -44,7 +43,7 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.timing import CONTROL_PERIOD
 
-_PRICE, _PRICE_AT_REST = 1.0, 3.0  # p and p_0, over the torque limit squared; h is about 5
+_PRICE = 1.0  # p, over the torque limit squared; h is about 5
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
 _ELAPSED = [entry.name for entry in layout.ENTRIES["encoder"]].index("elapsed_time")
@@ -98,7 +97,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
         price: See `best_changes`.
     """
     hold, limit, moves = settings.hold, settings.limit, recording.num_moves
-    stayed = np.flatnonzero(recording.finished[-recording.num_arms :])
+    stayed = np.flatnonzero(recording.stayed)
     if not len(stayed):  # and so the episodes broke off
         nothing = torch.zeros(moves * -(-EPISODE_STEPS // hold), 0)
         inputs = torch.zeros(*nothing.shape, recorder.inputs[0].shape[1]).half()
@@ -112,22 +111,12 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
 
     seen, residuals = recorder.held(stayed[0], hold)
     by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
-    penalised, prices = _penalised(recording, by_move * limit, hold)
-    slopes, weights = sums(changes * curvatures - prices * penalised), sums(curvatures + prices)
+    own = np.repeat(by_move * limit, hold, axis=0)[:EPISODE_STEPS]
+    slopes, weights = sums(changes * curvatures - _PRICE * own), sums(curvatures + _PRICE)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
     arrays = best, weights / weights.mean()
     labels, weights = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
     return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights)
-
-
-def _penalised(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
-    """Torque of motors at rest, residual of others, and the price of either, shape (1200, n)."""
-    speed, count = recording.state[:, :, 1], recording.num_arms
-    before = np.concatenate([np.zeros(count), speed[-1, :-count]])  # a move begins with the speed of the last one's end
-    still = np.concatenate([before[None], speed]) == 0
-    rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
-    own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
-    return np.where(rests, torque, own), np.where(rests, _PRICE_AT_REST, _PRICE)
 
 
 def best_changes(

@@ -150,7 +150,7 @@ def _where(due: Flags, following: Any, before: Any) -> Any:
 
 
 class GuardedResidualController(GuardedController):
-    """Base and residual with the guard behind them; the servo is for a base that plans, see `servo_for`."""
+    """Base and residual with the guard behind them; the servo is that of the base, see `servo_for`."""
 
     def __init__(
         self, controller: ResidualController, servo: Controller | None = None, settings: GuardSettings | None = None

@@ -81,7 +81,9 @@ class Method:
             return PrivilegedController(*arms, model=model)
         if self.kind == "learned":
             controller = load_controller(*(self.sources[seed] for seed in seeds))
-            return GuardedResidualController(controller, servo_for(self.base or "")) if self.guarded else controller
+            if not self.guarded:
+                return controller
+            return GuardedResidualController(controller, servo_for(controller.informed.base))
         if self.kind == "added":
             return custom.make(source)
         return guarded(source) if self.guarded else CONTROLLERS[source]()

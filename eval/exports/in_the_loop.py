@@ -54,6 +54,9 @@ class InTheLoop:
         ValueError: If the sources do not compile, or the program refuses to run.
     """
 
+    profile = "trapezoid"
+    """Shape of the reference that all exported programs compute."""
+
     def __init__(
         self,
         folder: Path,

@@ -26,11 +26,13 @@ from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.tools.command import require_bounds, require_known
 from beltarm_env import ArmParams
+from beltarm_env.arm import params_table
+from beltarm_env.rollout import check_data_sheet, check_profile
 from eval.comparison import custom
 from eval.comparison.sets import development_set
 from eval.exports.compilers import FLAGS, footprint, native, processors_for
 from eval.exports.folder import require_free, write_export
-from eval.exports.in_the_loop import compare
+from eval.exports.in_the_loop import InTheLoop, compare
 from eval.exports.kernels import Filtering, Guarded, GuardMemory, Learned, classical, learned, step_of
 from eval.exports.source import TEMPLATES, Loop, sources
 
@@ -108,10 +110,11 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         plan_samples: Over how many samples a plan that is made anew is spread, where `adaptive` plans.
 
     Raises:
-        ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
+        ValueError: If there is no such controller, it is no kernel for one arm, it rebuilds another shape of the
+            reference, its arm's motor turns further than observations show, or the policy is missing or damaged.
     """
     if _is_classical(source):
-        name, base_name, residual, base = _name_of(source), source, 0.0, _classical(source)
+        name, residual, base = _name_of(source), 0.0, _classical(source)
         title = f"Controller {name!r} of beltarm" if source in CONTROLLERS else f"Controller {name!r}"
         kernel, identifies = _kernel(base, source, plan_samples), isinstance(base, AdaptiveController)
         params = base.params
@@ -120,19 +123,21 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         if not (Path(source) / POLICY_FILE).is_file():
             require_known((source,), CONTROLLERS, "{} is neither a classical controller nor the folder of a policy")
         controller, (spec, content) = load_controller(source), read_spec(source)
-        name, base_name, residual, base = spec.algorithm, spec.base, spec.residual.limit, controller.informed.base
-        title = f"Policy {name} on {base_name!r} of beltarm, SHA-256 {content['sha256']}"
-        params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
+        name, residual, base = spec.algorithm, spec.residual.limit, controller.informed.base
+        title = f"Policy {name} on {spec.base!r} of beltarm, SHA-256 {content['sha256']}"
+        params, kernel = controller.params or ArmParams(), _kernel(base, spec.base, plan_samples)
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
         filtering = Filtering(empty_belief(1, SIZE), empty_inputs(), room_for(1)) if identifies and own else None
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
+    check_data_sheet(params, params_table([params]), name)  # its motor turns no further than what is measured shows
+    check_profile(base, InTheLoop.profile)
     remembers = bool(getattr(base, "remembers", False))
     step, design, memory = step_of(propose, remembers=remembers), Guarded(design), Guarded(memory)
     if guard:
-        servo: Any = servo_for(base_name)
+        servo: Any = servo_for(base)
         law, fixed, kept = servo.kernel() if servo is not None else (None, None, None)
         title, step = f"{title}, behind the guard", step_of(propose, True, law, remembers)
         design = design._replace(servo=fixed, guard=GuardSettings().design(params, residual))
@@ -171,6 +176,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
 def controller_of(source: str, guard: bool = True) -> Any:
     """Make the controller in Python whose loop `loop_of` makes."""
     if _is_classical(source):
-        return GuardedController(_classical(source), servo_for(source)) if guard else _classical(source)
+        controller = _classical(source)
+        return GuardedController(controller, servo_for(controller)) if guard else controller
     controller = load_controller(Path(source))
-    return GuardedResidualController(controller, servo_for(read_spec(Path(source))[0].base)) if guard else controller
+    return GuardedResidualController(controller, servo_for(controller.informed.base)) if guard else controller

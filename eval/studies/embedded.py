@@ -127,7 +127,7 @@ def _with_single_precision(
         with program_for(folder, loop, split, split.all_moves[:, :episodes], flags=_ANYWAY) as program:
 
             class Both:
-                params = loop.params
+                params, profile = loop.params, program.profile
 
                 def predict(
                     self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True

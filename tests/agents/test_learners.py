@@ -97,7 +97,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("student", {"rounds": 0}, "--rounds"),
     ("student", {"remembered": 0}, "--remembered"),
     ("student", {"gru_width": -1}, "--gru-width"),
-    ("student", {"huber": 0.0}, "--huber"),
+    ("student", {"nominal": ("payload",)}, "--nominal.*'payload'; did you mean 'payload_mass'"),
     ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),
 ]
 

@@ -170,7 +170,7 @@ class TestInTheLoop:
         policy = load_controller(POLICIES / "ppo" / "seed0")
         policy.policy.predict = lambda seen, *_, **__: (np.full((len(seen), 1), np.nan, np.float32), None)  # type: ignore
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
-        run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
+        run = rollout(GuardedResidualController(policy, servo_for(policy.informed.base), of_any_change), 2, **ARMS)
         base = rollout(policy.informed.base, 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 

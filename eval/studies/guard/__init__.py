@@ -103,11 +103,12 @@ def base_of(name: str) -> str:
     return method.base or name
 
 
-def with_guard(controller: Controller, name: str) -> Recorder[tuple[Flags, Floats]]:
+def with_guard(controller: Controller) -> Recorder[tuple[Flags, Floats]]:
     """Put the guard behind a controller of the study, and note which commands it changed, and its levels."""
-    servo = servo_for(base_of(name))
-    learned = isinstance(controller, ResidualController)
-    guarded = GuardedResidualController(controller, servo) if learned else GuardedController(controller, servo)
+    if isinstance(controller, ResidualController):
+        guarded: Controller = GuardedResidualController(controller, servo_for(controller.informed.base))
+    else:
+        guarded = GuardedController(controller, servo_for(controller))
     return Recorder(guarded, lambda memory: (memory.changed, memory.level))
 
 
@@ -122,7 +123,7 @@ def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
     env, controller = FaultyArms(arms, fault, randomization="train"), shipped_controller(name)
     if fault == NAN and isinstance(controller, ResidualController):
         controller.policy = BrokenPolicy(controller.policy, env)
-    recorder = with_guard(controller, name) if guard else None
+    recorder = with_guard(controller) if guard else None
     run = record(recorder or controller, env, seed=SEEDS.first)
     levels = np.array([level for _, level in recorder.notes]) if recorder else np.zeros((1, arms))
     return {
@@ -142,7 +143,7 @@ def health(name: str, split: str, episodes: int) -> dict[str, float]:
     """
     arguments = development_set().splits[split].arguments(slice(episodes))
     before = rollout(shipped_controller(name), episodes, **arguments)
-    recorder = with_guard(shipped_controller(name), name)
+    recorder = with_guard(shipped_controller(name))
     after = rollout(recorder, episodes, **arguments)
     changed, levels = map(np.array, zip(*recorder.notes, strict=True))
     return {

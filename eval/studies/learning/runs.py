@@ -58,6 +58,7 @@ FACTORS = {
     "told": Factor("What must it be told of the arm?", "belief of the filter"),
     "memory": Factor("What is its memory worth?", "GRU of 96"),
     "base": Factor("Which controller should it correct?", "adaptive"),
+    "price": Factor("What does a quiet torque cost?", f"{StudentConfig.torque_price:g} times the task's price"),
 }
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
@@ -70,10 +71,14 @@ VARIANTS = (
     Variant("ppo", "learner", "PPO, on paper", _SHIFTS, "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", _SHIFTS, "sac", once=True),
     Variant("single", "arms", "single moves", ("--moves", "1")),
+    Variant("no-parts", "arms", "shifts without parts", ("--nominal", "payload_mass")),
+    Variant("rigid", "arms", "shifts with motors that do not give", ("--nominal", "presliding_deflection")),
     Variant("ideal", "arms", "shifts with an ideal drive", ("--randomization", "ideal"), once=True),
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
+    Variant("price-1", "price", "the task's price", ("--torque-price", "1"), once=True),
+    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
 )
 
