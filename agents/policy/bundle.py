@@ -157,8 +157,7 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
     """Format a description as a card: what the policy is, how it is loaded, its training, and what is offered."""
     offer, provenance = offer or Offer(), content["provenance"]
     config, curve = provenance.get("config", {}), provenance.get("curve", [])
-    moves, nominal = config.get("moves", 1), config.get("nominal", ())
-    ranges = resolve_ranges(config["randomization"], moves) if "randomization" in config else {}
+    moves = config.get("moves", 1)
     return _TEMPLATES.get_template("card.md.j2").render(
         environment=ENVIRONMENT,
         period=CONTROL_PERIOD,
@@ -171,5 +170,5 @@ def card(content: dict[str, Any], offer: Offer | None = None) -> str:
         seed=config.get("seed"),
         curve=[curve[k] for k in np.linspace(0, len(curve) - 1, min(len(curve), _ROWS)).round().astype(int)],
         moves=moves,
-        ranges={name: pair for name, pair in ranges.items() if name not in nominal},
+        ranges=resolve_ranges(config["randomization"], moves) if "randomization" in config else {},
     )

@@ -54,8 +54,7 @@ class InTheLoop:
         ValueError: If the sources do not compile, or the program refuses to run.
     """
 
-    profile = "trapezoid"
-    """Shape of the reference that all exported programs compute."""
+    profile = "trapezoid"  # of the reference that all exported programs compute
 
     def __init__(
         self,

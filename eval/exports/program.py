@@ -110,8 +110,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         plan_samples: Over how many samples a plan that is made anew is spread, where `adaptive` plans.
 
     Raises:
-        ValueError: If there is no such controller, it is no kernel for one arm, it rebuilds another shape of the
-            reference, its arm's motor turns further than observations show, or the policy is missing or damaged.
+        ValueError: If there is no such controller, no program does what it does, or the policy is missing or damaged.
     """
     if _is_classical(source):
         name, residual, base = _name_of(source), 0.0, _classical(source)

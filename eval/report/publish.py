@@ -33,18 +33,7 @@ from eval.comparison.rollouts import Failure, calls_side_by_side
 from eval.comparison.schema import write_results
 from eval.comparison.splits import EDITION, SPLITS, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
-from eval.report.figures import (
-    LOOK,
-    Draw,
-    colours_of,
-    forests,
-    line,
-    runs_of,
-    scene_panels,
-    tip_after,
-    tip_error,
-    torque,
-)
+from eval.report import figures
 from eval.report.recordings import Scene, record_scenes, reference_angles
 from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five, save_figures
 from eval.report.summary import CONSTANTS, described, headline
@@ -52,7 +41,8 @@ from eval.report.table import Record, Results, estimate, to_terminal
 from eval.report.text import degrees
 from eval.report.verdict import verdict
 
-_MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
+_MOTIONS: dict[str, figures.Draw] = {"tip_error.png": figures.tip_error, "residual.png": figures.tip_after}
+_MOTIONS |= {"torque.png": figures.torque}
 _ACROSS = 3  # splits side by side
 _ANSWERS = (f"time until still, within {1000 * STILL_BAND:g} mm, after a move (ms)", "cost")
 _DRAWN = 1000.0  # cost up to which a method has bars; others would hide all differences
@@ -105,7 +95,7 @@ def print_results(content: dict[str, Any], console: Console) -> None:
 
 def plots(results: Results, traces: Sequence[Scene]) -> dict[str, Callable[[], Figure]]:
     """Recipes of all pictures, by the names of their files."""
-    colours = colours_of(results, traces)
+    colours = figures.colours_of(results, traces)
     note = f"Scenarios of the {results.label.title}"
     return {
         **{name: partial(_motions, draw, traces, colours, note) for name, draw in _MOTIONS.items() if traces},
@@ -114,17 +104,17 @@ def plots(results: Results, traces: Sequence[Scene]) -> dict[str, Callable[[], F
     }
 
 
-def _motions(draw: Draw, traces: Sequence[Scene], colours: dict[str, str], note: str) -> Figure:
+def _motions(draw: figures.Draw, traces: Sequence[Scene], colours: dict[str, str], note: str) -> Figure:
     """Draw a motion on each split, by all methods that have a colour."""
     across = min(len(traces), _ACROSS)
     down = -(-len(traces) // across)
-    with matplotlib.rc_context(LOOK):
+    with matplotlib.rc_context(figures.LOOK):
         figure = plt.figure(figsize=(4.2 * across, 3.3 * down + 0.7), layout="constrained")
         parts = list(figure.subfigures(down, across, squeeze=False).flat)
         for part, scene in zip(parts, traces, strict=False):
             start, goal = next(iter(scene.motions.values())).moves[0, :2]
             part.suptitle(f"{scene.split}: {scene.title}, {degrees(start)} to {degrees(goal)}", fontsize=10)
-            draw(part, runs_of(scene, colours))
+            draw(part, figures.runs_of(scene, colours))
         _finish(figure, note, [axis for part in parts for axis in part.axes])
     return figure
 
@@ -210,9 +200,9 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         undefined=jinja2.StrictUndefined,
     )
     results = Results(content)
-    colours, legend = colours_of(results, scenes), []
+    colours, legend = figures.colours_of(results, scenes), []
     for method in colours:
-        look = line(colours, method)
+        look = figures.line(colours, method)
         dashes = "" if look["ls"] == "-" else " ".join(f"{2 * length:g}" for length in look["ls"][1])
         legend.append({"method": method, "variable": f"--c{COLOURS.index(look['color'])}", "dashes": dashes})
     return environment.get_template("report.html").render(
@@ -227,8 +217,8 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         splits=[(name, SPLITS[name].description) for name in results.splits],
         tables=[results.across_splits(metric) for metric in PAIRED_METRICS],
         edition=EDITION,
-        forests=forests(results, colours),
-        scenes=[(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(scenes)],
+        forests=figures.forests(results, colours),
+        scenes=[(scene, figures.scene_panels(scene, k, colours)) for k, scene in enumerate(scenes)],
         seed_note=results.seed_note(colours),
         animation=animation(scenes, colours),
         legend=legend,
@@ -275,8 +265,7 @@ def _animated(scene: Scene, names: list[str]) -> dict[str, Any]:
 
 def _frames(recording: Recording) -> np.ndarray:
     """Joint angle, torsion [rad], radial and lateral error [mm], torque [N m] of each frame, shape (frames, 5)."""
-    chosen = slice(EVERY - 1, None, EVERY)
-    gear_ratio = recording.params[0, COLUMN.gear_ratio]
+    chosen, gear_ratio = slice(EVERY - 1, None, EVERY), recording.params[0, COLUMN.gear_ratio]
     state = recording.state[chosen, 0]
     errors = np.clip(1000 * recording.tip_error[chosen, 0], -_LONGEST_MM, _LONGEST_MM)
     columns = [state[:, 0] / gear_ratio, state[:, 2], errors[:, 0], errors[:, 1], recording.torque[chosen, 0]]

@@ -138,15 +138,10 @@ def written(data: bytes) -> Callable[[Path], object]:
     return lambda bundle: (bundle / POLICY_FILE).write_bytes(data)
 
 
-def make_pipe(bundle: Path) -> None:
-    (bundle / POLICY_FILE).unlink()
-    os.mkfifo(bundle / POLICY_FILE)
-
-
 DAMAGES: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "no folder": (shutil.rmtree, ("is missing", "runs/ppo/best")),
     "no file": (lambda b: (b / POLICY_FILE).unlink(), ("is missing",)),
-    "a pipe": (make_pipe, ("no regular file",)),
+    "a pipe": (lambda b: ((b / POLICY_FILE).unlink(), os.mkfifo(b / POLICY_FILE)), ("no regular file",)),
     "nothing": (written(b""), ("no policy",)),
     "another file": (written(b"something else"), ("no policy",)),
     "a pickle": (written(pickle.dumps(SPEC)), ("no policy",)),

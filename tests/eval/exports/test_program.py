@@ -160,13 +160,18 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
-def test_a_law_that_is_another_from_its_second_move_on_is_found_out(compiler: Any, tmp_path: Path):
+def test_what_no_program_is(compiler: Any, tmp_path: Path):
+    """Another law from its second move on, another shape of the reference, an arm that observations do not show."""
     own = "class Tired(MyServo):\n    def predict(self, observation, state=None, *more, **named):\n"
     own += "        self.calls = 0 if state is None else self.calls + 1\n"
     own += "        action, state = super().predict(observation, state, *more, **named)\n"
     own += "        return action * (1.0 if self.calls < 1200 else 0.5), state\n"
+    own += "class Quintic(MyServo):\n    profile = 'quintic'\n"
+    own += "class Geared(MyServo):\n    def __init__(self):\n        super().__init__()\n"
+    own += "        self.params = type(self.params)(gear_ratio=120.0)\n"
     (tmp_path / "own.py").write_text(f"{(EXAMPLES / 'my_servo.py').read_text()}\n\n{own}")
-    assert "differ" in mistake(export.main, ("c", "own.py:Tired", "--episodes", "1", "--out", "made"), tmp_path)
+    for name, word in {"Tired": "differ", "Quintic": "'trapezoid'", "Geared": "gear_ratio 120.0"}.items():
+        assert word in mistake(export.main, ("c", f"own.py:{name}", "--episodes", "1", "--out", "made"), tmp_path)
 
 
 def test_users_files_are_not_replaced(tmp_path: Path):
