@@ -16,9 +16,10 @@ The slope q is that of the student's own cost: what the best later torques are d
 which `tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of
 its torques lowers its expected cost, and fitting u to y with weights w is a Gauss-Newton step towards there.
 
-Of a shift every move is advised on by itself, in the state that it begins in. A price of p u^2 for each sample of the
-residual, over the torque limit, keeps it small where it changes little, as while the motor sticks. It is not of the
-whole torque: a student that takes the base's torque away while the motor rests makes it reverse more often.
+Of a shift every move is advised on by itself, in the state that it begins in. A price of p u^2 per sample, u the
+residual as a share of the torque limit, keeps residuals small where they change little, as while the motor sticks. The
+whole torque has no price: a student that takes the base's torque away while the motor rests has to bring it back, and
+so the torque reverses more often.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.

@@ -167,7 +167,7 @@ def rollout_rows(repetitions: int) -> list[Row]:
     student = played(load_controller(POLICIES / "student" / "seed0"))
     runs = {f"rollout, adaptive{end}": (steps, adaptive), f"rollout, student, seed 0{end}": student}
     alone = steps, patch.dict(os.environ, OMP_NUM_THREADS="1")(lambda: adaptive())
-    together = {f"threads of a rollout, adaptive{end}": (steps, adaptive)}
+    together = {f"rollout beside one thread, adaptive{end}": (steps, adaptive)}
     return [
         *beside("paper", played(PaperController()), runs, repetitions),
         *beside("1 thread", alone, together, repetitions),

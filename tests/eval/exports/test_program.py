@@ -170,8 +170,9 @@ def test_what_no_program_is(compiler: Any, tmp_path: Path):
     own += "class Geared(MyServo):\n    def __init__(self):\n        super().__init__()\n"
     own += "        self.params = type(self.params)(gear_ratio=120.0)\n"
     (tmp_path / "own.py").write_text(f"{(EXAMPLES / 'my_servo.py').read_text()}\n\n{own}")
-    for name, word in {"Tired": "differ", "Quintic": "'trapezoid'", "Geared": "gear_ratio 120.0"}.items():
-        assert word in mistake(export.main, ("c", f"own.py:{name}", "--episodes", "1", "--out", "made"), tmp_path)
+    for name, word in {"Quintic": "'trapezoid'", "Geared": "gear_ratio 120.0"}.items():
+        assert word in mistake(export.main, ("c", f"own.py:{name}", "--no-check", "--out", "made"), tmp_path)
+    assert "differ" in mistake(export.main, ("c", "own.py:Tired", "--episodes", "1", "--out", "made"), tmp_path)
 
 
 def test_users_files_are_not_replaced(tmp_path: Path):
