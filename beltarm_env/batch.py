@@ -120,8 +120,9 @@ def _spaces(sensors: str) -> tuple[spaces.Box[np.float32], spaces.Box[np.float32
     """Spaces of observation and action that nobody draws from: copies of them share their arrays, half a kilobyte."""
     bounds = observation.bounds(sensors)
     both = spaces.Box(-bounds, bounds, dtype=np.float32), spaces.Box(-1.0, 1.0, (1,), np.float32)
-    for array in (array for of in both for array in (of.low, of.high, of.bounded_below, of.bounded_above)):
-        array.flags.writeable = False
+    for of in both:
+        for array in (of.low, of.high, of.bounded_below, of.bounded_above):
+            array.flags.writeable = False
     return both
 
 

@@ -73,7 +73,7 @@ def nominal_params(controller: Controller) -> ArmParams | None:
 
 
 def nominal_profile(controller: object) -> str | None:
-    """The shape of the reference that a controller rebuilds, if it says so in an attribute `profile`."""
+    """The shape of the reference that a controller rebuilds, if its attribute `profile` is one of `PROFILES`."""
     profile = getattr(controller, "profile", None)
     return profile if isinstance(profile, str) and profile in PROFILES else None
 

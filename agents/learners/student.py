@@ -41,7 +41,7 @@ from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds, require_known
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.ranges import RANGES, SHIFT_RANGES, resolve_ranges
+from beltarm_env.task.ranges import RANGES, resolve_ranges
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 MAX_GRADIENT = 5.0
@@ -109,7 +109,8 @@ class StudentConfig(RunConfig):
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
         require_bounds(self, gru_width=(0, None), segment=(1, None))
         self.positive("torque_price")
-        require_known(self.nominal, SHIFT_RANGES, "--nominal: no constant that varies in training is called {}")
+        varied = resolve_ranges(self.randomization, self.moves)
+        require_known(self.nominal, varied, "--nominal: no constant that varies in training is called {}")
         if self.moves > 1 and EPISODE_STEPS % self.hold:
             raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
         if self.rounds * self.arms > SEED_SPACING:

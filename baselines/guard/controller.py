@@ -12,7 +12,6 @@ from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
 from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning
 from baselines.registry import CONTROLLERS
-from baselines.servo.flat import FlatController
 from beltarm_env import observation as layout
 from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -78,7 +77,7 @@ class GuardedController:
         self.profile = nominal_profile(controller) or nominal_profile(servo)
         if servo is not None:
             check_data_sheet(nominal_params(servo), params_table([params]), type(servo).__name__)
-            check_profile(servo, self.profile or "")
+            check_profile(servo, self.profile or "none")
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 
@@ -138,4 +137,4 @@ def servo_for(controller: Controller) -> Controller | None:
     It is `flat`: stiff, without an observer, and the one that faults of arm and drive impress least.
     """
     needed = getattr(controller, "needs_servo", False)
-    return FlatController(params=nominal_params(controller)) if needed else None
+    return CONTROLLERS["flat"](params=nominal_params(controller)) if needed else None

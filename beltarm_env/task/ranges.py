@@ -147,6 +147,7 @@ def shared_bounds(randomization: Randomization, moves: int) -> Floats:
 
 @cache
 def _bounds_of_word(word: str, moves: int) -> Floats:
+    # It can be written as those of a mapping can: kernels for arrays that cannot are others.
     return range_bounds(resolve_ranges(cast("Randomization", word), moves))
 
 

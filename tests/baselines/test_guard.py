@@ -13,10 +13,10 @@ from refusals import refused
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.controller import GuardedResidualController
 from baselines.guard import guard
-from baselines.guard.controller import guarded, servo_for
+from baselines.guard.controller import GuardedController, guarded, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
-from beltarm_env import CONTROL_PERIOD, design_model
+from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from eval.studies.guard.faults import FAULTS, FaultyArms
@@ -173,6 +173,17 @@ class TestInTheLoop:
         run = rollout(GuardedResidualController(policy, servo_for(policy.informed.base), of_any_change), 2, **ARMS)
         base = rollout(policy.informed.base, 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
+
+
+def test_the_servo_is_the_tuned_one_for_the_arm_of_a_controller_that_relies_on_an_observer_or_a_plan():
+    servos = {name: servo_for(make()) for name, make in CONTROLLERS.items()}
+    assert {name for name, servo in servos.items() if servo} == {"lqg", "robust", "preview", "mpc", "adaptive"}
+    geared = CONTROLLERS["preview"](params=ArmParams(gear_ratio=100.0))
+    servo: Any = servo_for(geared)
+    assert servo.gains == CONTROLLERS["flat"]().gains and servo.params == geared.params
+    refused(ValueError, ("gear_ratio 100.0", "88"), lambda: GuardedController(geared, CONTROLLERS["flat"]()))
+    geared.profile = "quintic"
+    refused(ValueError, ("'trapezoid'", "'quintic'"), lambda: GuardedController(geared, servo))
 
 
 def test_faults_change_nothing_before_their_onset():
