@@ -27,7 +27,7 @@ from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_r
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.options import checked_column, checked_names, checked_states
-from beltarm_env.task.ranges import Randomization, bounds_of, draw_table
+from beltarm_env.task.ranges import Randomization, draw_table, shared_bounds
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.task.shift import MOST_MOVES, fastest_of_moves
 from beltarm_env.task.streams import Streams, wrapping
@@ -121,7 +121,8 @@ def _spaces(sensors: str) -> tuple[spaces.Box[np.float32], spaces.Box[np.float32
     bounds = observation.bounds(sensors)
     both = spaces.Box(-bounds, bounds, dtype=np.float32), spaces.Box(-1.0, 1.0, (1,), np.float32)
     for of in both:
-        of.low.flags.writeable = of.high.flags.writeable = False
+        for array in (of.low, of.high, of.bounded_below, of.bounded_above):
+            array.flags.writeable = False
     return both
 
 
@@ -151,7 +152,7 @@ class ArmBatch:
         self.model_name = model
         self.model = model_of(model)
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
-        self._bounds = bounds_of(randomization, self.num_moves)
+        self._bounds = shared_bounds(randomization, self.num_moves)
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built

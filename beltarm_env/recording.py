@@ -53,10 +53,15 @@ class Recording:
         count, metrics = self.num_arms, self.metrics()
         moves = f", {self.num_moves} moves" if self.num_moves > 1 else ""
         scores = f"cost {np.median(self.cost):.0f}, tip RMS {np.median(metrics['tip_rms_mm']):.1f} mm"
-        away = np.sum(~self.finished[-count:])
+        away = np.sum(~self.stayed)
         left = f"; {away} left the workspace" if away else ""
         arms = f"{count} arm{'s' if count != 1 else ''}{moves}"
         return f"Recording({arms}, {len(self.state)} samples: median {scores}{left})"
+
+    @property
+    def stayed(self) -> Flags:
+        """Whether an arm stayed in its workspace through all moves, shape (num_arms,)."""
+        return self.finished[-self.num_arms :]
 
     @property
     def num_arms(self) -> int:

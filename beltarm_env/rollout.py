@@ -19,6 +19,7 @@ from beltarm_env.observation import ENTRIES, index
 from beltarm_env.physics.kinematics import HIGHEST
 from beltarm_env.recording import Recording
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.reference import PROFILES
 from beltarm_env.timing import EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
 
@@ -72,9 +73,9 @@ def nominal_params(controller: Controller) -> ArmParams | None:
 
 
 def nominal_profile(controller: object) -> str | None:
-    """The shape of the reference that a controller rebuilds, if it says so in an attribute `profile`."""
+    """The shape of the reference that a controller rebuilds, if its attribute `profile` is one of `PROFILES`."""
     profile = getattr(controller, "profile", None)
-    return profile if isinstance(profile, str) else None
+    return profile if isinstance(profile, str) and profile in PROFILES else None
 
 
 def check_profile(controller: object, profile: str) -> None:
@@ -82,7 +83,7 @@ def check_profile(controller: object, profile: str) -> None:
     if nominal_profile(controller) not in (None, profile):
         raise ValueError(
             f"{type(controller).__name__} rebuilds a reference with profile={nominal_profile(controller)!r} and would "
-            f"follow that, got an environment with profile={profile!r}"
+            f"follow that, where the reference has profile={profile!r}"
         )
 
 

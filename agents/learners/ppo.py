@@ -125,8 +125,8 @@ class PpoConfig(OnPolicyConfig):
     def student(self) -> StudentConfig:
         """Options of the student that the actor is in the teacher's rounds; those not named here are its own."""
         shared = {each.name: getattr(self, each.name) for each in fields(RunConfig) if each.name != "learning_rate"}
-        own = {"rounds": self.teacher_rounds, "arms": self.teacher_arms, "torque_price": self.torque_price}
-        return StudentConfig(**{**shared, **own, "gru_width": 0, "epochs": 3})
+        own = {"rounds": self.teacher_rounds, "arms": self.teacher_arms, "gru_width": 0, "epochs": 3}
+        return StudentConfig(**{**shared, **own})
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""

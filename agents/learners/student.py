@@ -41,7 +41,7 @@ from agents.runs.training import TrainingMonitor
 from baselines.tools.command import require_bounds, require_known
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.ranges import RANGES, SHIFT_RANGES, resolve_ranges
+from beltarm_env.task.ranges import RANGES, resolve_ranges
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 MAX_GRADIENT = 5.0
@@ -79,8 +79,8 @@ class StudentConfig(RunConfig):
     """Number of the last rounds whose advice is fitted."""
     epochs: int = 1
     """Passes over that advice in each round."""
-    torque_price: float = 5.0
-    """Price of a torque change in the teacher's objective, as a multiple of the task's price."""
+    residual_price: float = 3.0
+    """Price of a squared residual in the teacher's objective. With more the torque reverses less often."""
     validation_arms: int = 32
     batch_size: int = 16
     """Episodes in each gradient step."""
@@ -108,8 +108,9 @@ class StudentConfig(RunConfig):
         """Check the options, see `RunConfig.check`."""
         require_bounds(self, rounds=(1, None), remembered=(1, None), epochs=(1, None), batch_size=(1, None))
         require_bounds(self, gru_width=(0, None), segment=(1, None))
-        self.positive("torque_price")
-        require_known(self.nominal, SHIFT_RANGES, "--nominal: no constant that varies in training is called {}")
+        self.positive("residual_price")
+        varied = resolve_ranges(self.randomization, self.moves)
+        require_known(self.nominal, varied, "--nominal: no constant that varies in training is called {}")
         if self.moves > 1 and EPISODE_STEPS % self.hold:
             raise ValueError(f"--hold must divide {EPISODE_STEPS} where an episode has several moves, got {self.hold}")
         if self.rounds * self.arms > SEED_SPACING:
@@ -169,7 +170,7 @@ class Student:
         while self.rounds < self.config.rounds:
             self._steps_of_round = 0
             recording, recorder = self.move()
-            advice = advise(recording, recorder, self.config.residual, self.config.torque_price)
+            advice = advise(recording, recorder, self.config.residual, self.config.residual_price)
             self.advice = [*self.advice, advice][-self.config.remembered :]
             error = self.fit()
             monitor.logger.record("student/cost", float(recording.cost.mean()))

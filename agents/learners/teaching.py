@@ -44,7 +44,7 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.timing import CONTROL_PERIOD
 
-_PRICE = 1.0  # p, over the torque limit squared; h is about 5
+_TORQUE_PRICE = 5.0  # of a change of the torque, over what the task charges
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
 _ELAPSED = [entry.name for entry in layout.ENTRIES["encoder"]].index("elapsed_time")
@@ -88,22 +88,22 @@ class Recorder:
         return inputs[began], np.stack(self.residuals)[began, :, 0].astype(np.float64)
 
 
-def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings, price: float = 1.0) -> Advice:
+def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings, price: float) -> Advice:
     """Say for every hold of every arm what a student should have done; only of arms that stayed in their workspace.
 
     Args:
         recording: Episodes under the student.
         recorder: The student's inputs and residuals in them; its `pause` is called before each arm, with zero.
         settings: Of the student's residual.
-        price: See `best_changes`.
+        price: p of the residual, over the torque limit squared; h is about 5.
     """
     hold, limit, moves = settings.hold, settings.limit, recording.num_moves
-    stayed = np.flatnonzero(recording.finished[-recording.num_arms :])
+    stayed = np.flatnonzero(recording.stayed)
     if not len(stayed):  # and so the episodes broke off
         nothing = torch.zeros(moves * -(-EPISODE_STEPS // hold), 0)
         inputs = torch.zeros(*nothing.shape, recorder.inputs[0].shape[1]).half()
         return Advice(inputs, nothing, nothing)
-    changes, curvatures = best_changes(recording, price, recorder.pause)
+    changes, curvatures = best_changes(recording, pause=recorder.pause)
 
     def sums(samples: Floats) -> Floats:
         """Sums over holds, the last of a move may be shorter, of arms that stayed: shape (holds of all moves, arms)."""
@@ -113,7 +113,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     seen, residuals = recorder.held(stayed[0], hold)
     by_move = np.concatenate(np.split(residuals, moves), axis=1)  # with columns as the recording's
     own = np.repeat(by_move * limit, hold, axis=0)[:EPISODE_STEPS]
-    slopes, weights = sums(changes * curvatures - _PRICE * own), sums(curvatures + _PRICE)
+    slopes, weights = sums(changes * curvatures - price * own), sums(curvatures + price)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
     arrays = best, weights / weights.mean()
     labels, weights = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
@@ -121,13 +121,13 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
 
 
 def best_changes(
-    recording: Recording, price: float = 1.0, pause: Callable[[int], object] = lambda _: None
+    recording: Recording, torque_price: float = _TORQUE_PRICE, pause: Callable[[int], object] = lambda _: None
 ) -> tuple[Floats, Floats]:
     """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
 
     Args:
         recording: Moves, n in all, on the trapezoid reference.
-        price: What a change of the torque from sample to sample costs the teacher, over what the task charges.
+        torque_price: What a change of the torque from sample to sample costs, over what the task charges.
         pause: Called before each arm, with zero.
 
     Returns:
@@ -144,7 +144,7 @@ def best_changes(
         about = linearisation.about(np.ascontiguousarray(states[:, i]), torque, task, row)
         changed = np.diff(torque, prepend=before[i])
         weights = norm_weights(about.errors, changed, limit, _EFFORT, _SOFT)
-        weights = weights._replace(smoothness=price * weights.smoothness)
+        weights = weights._replace(smoothness=torque_price * weights.smoothness)
         change, _, curvature = optimal_change(about, weights, torque, before=float(before[i]))
         changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
     return changes, curvatures

@@ -210,7 +210,7 @@ def simulate(
     """Run a source on shifts of arms seeded from `first` on, and leave out those that leave their workspace."""
     disturbed = Disturbed(source, observer, first, count)
     recording = rollout(disturbed, count, seed=first, randomization=randomization, moves=_MOVES)
-    stayed = np.flatnonzero(recording.finished[-count:])
+    stayed = np.flatnonzero(recording.stayed)
     true = recording.in_turn(truth(recording, observer.hold))[:, stayed]
     inputs = np.stack(disturbed.inputs)[:, stayed]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))

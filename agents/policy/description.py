@@ -42,7 +42,11 @@ _PROVENANCE = {
     "commit": TEXT,
     "versions": mapping_of(TEXT),
     "config": object_of(
-        ("seed", "randomization", "moves"), seed=INTEGER, randomization={"enum": list(RANGES)}, moves=_MOVES
+        ("seed", "randomization", "moves", "nominal"),
+        seed=INTEGER,
+        randomization={"enum": list(RANGES)},
+        moves=_MOVES,
+        nominal=list_of(TEXT),
     ),
     "run": object_of(("steps", "seconds"), **_RUN),
     "curve": list_of(_POINT),

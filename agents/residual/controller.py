@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
-from baselines.guard.controller import GuardedController, Torques
+from baselines.guard.controller import GuardedController, Torques, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning, chosen
 from beltarm_env.arrays import Flags, Singles
@@ -150,7 +150,7 @@ def _where(due: Flags, following: Any, before: Any) -> Any:
 
 
 class GuardedResidualController(GuardedController):
-    """Base and residual with the guard behind them; the servo is for a base that plans, see `servo_for`."""
+    """Base and residual with the guard behind them; the servo is that of the base, see `servo_for`."""
 
     def __init__(
         self, controller: ResidualController, servo: Controller | None = None, settings: GuardSettings | None = None
@@ -165,3 +165,14 @@ class GuardedResidualController(GuardedController):
         surprise = np.ones(len(action)) if belief is None else belief.tracks.surprise
         residual = self._limit * memory.residual[:, 0].astype(np.float64)
         return Torques(base.astype(np.float64), residual, surprise)
+
+
+def behind_guard(controller: Controller, settings: GuardSettings | None = None) -> GuardedController:
+    """Put the guard, with the servo that fits, behind a classical controller or one with a residual.
+
+    Raises:
+        ValueError: If the controller does not say which arm it is made for.
+    """
+    if isinstance(controller, ResidualController):
+        return GuardedResidualController(controller, servo_for(controller.informed.base), settings)
+    return GuardedController(controller, servo_for(controller), settings)

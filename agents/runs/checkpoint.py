@@ -36,8 +36,8 @@ from baselines.tools.options import note_options
 from baselines.tools.provenance import software
 from baselines.tools.schema import in_a_line, loads
 
-VERSION = 9
-"""Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
+VERSION = 10
+"""Format of checkpoints; raise it where a snapshot, what is learned from, or the place of a pickled class changes."""
 CHECKPOINT, CONFIG, COMMAND = Path("checkpoint.pkl"), Path("config.json"), Path("command.json")
 """Within the folder of a run; that of several has the last, the options of their command."""
 _WRITTEN = (*map(str, (CHECKPOINT, CONFIG, COMMAND)), "validation.csv", "progress*.csv", "events.out.tfevents.*")

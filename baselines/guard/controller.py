@@ -13,13 +13,10 @@ from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
+from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.rollout import Controller, nominal_params, nominal_profile
+from beltarm_env.rollout import Controller, check_data_sheet, check_profile, nominal_params, nominal_profile
 
-PLANNING = ("lqg", "robust", "preview", "mpc", "adaptive")
-"""Controllers that rely on an observer or a plan, and fall back to `SERVO_NAME`."""
-SERVO_NAME = "flat"
-"""The well-damped servo: stiff, without an observer; the one that faults of arm and drive impress least."""
 _ANGLE, _LAST = layout.index("motor_angle"), layout.index("last_command")
 _ANGLE_SCALE = layout.scales()[_ANGLE]
 
@@ -62,7 +59,8 @@ class GuardedController:
         residual: Largest residual of a learned controller, over the torque limit; 0 for a classical one.
 
     Raises:
-        ValueError: If the controller does not say which arm it is made for, or the servo is made for another one.
+        ValueError: If the controller does not say which arm it is made for, or the servo is made for another arm, or
+            for another shape of the reference.
     """
 
     def __init__(
@@ -75,8 +73,11 @@ class GuardedController:
         params = nominal_params(controller)
         if params is None:
             raise ValueError(f"{type(controller).__name__} has no `params`: the guard needs to know the torque limit")
-        self.controller, self.servo = controller, servo
-        self.params, self.profile = params, nominal_profile(controller) or nominal_profile(servo)
+        self.controller, self.servo, self.params = controller, servo, params
+        self.profile = nominal_profile(controller) or nominal_profile(servo)
+        if servo is not None:
+            check_data_sheet(nominal_params(servo), params_table([params]), type(servo).__name__)
+            check_profile(servo, self.profile or "none")
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 
@@ -119,16 +120,10 @@ class GuardedController:
         return np.where(asked, action[:, 0].astype(np.float64), np.nan), memory, asked
 
 
-def guarded(name: str, settings: GuardSettings | None = None) -> GuardedController:
-    """Make a classical controller with the guard behind it.
+def servo_for(controller: Controller) -> Controller | None:
+    """Make the servo that a controller falls back to; None for one that relies on no observer or plan.
 
-    Args:
-        name: Of `baselines.CONTROLLERS`.
-        settings: Of the guard.
+    It is `flat`: stiff, without an observer, and the one that faults of arm and drive impress least.
     """
-    return GuardedController(CONTROLLERS[name](), servo_for(name), settings)
-
-
-def servo_for(name: str) -> Controller | None:
-    """Make the servo that a controller falls back to; None for one that does not plan."""
-    return CONTROLLERS[SERVO_NAME]() if name in PLANNING else None
+    needed = getattr(controller, "needs_servo", False)
+    return CONTROLLERS["flat"](params=nominal_params(controller)) if needed else None

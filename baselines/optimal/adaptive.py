@@ -90,7 +90,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     """
 
     gains_type = AdaptiveGains
-    remembers = True
+    remembers = needs_servo = True
 
     def __init__(
         self,

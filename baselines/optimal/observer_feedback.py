@@ -21,6 +21,7 @@ on what the law keeps besides."""
 class ObserverController(TunedController[Any]):
     """Base of controllers with an observer; a subclass names its `feedback_law`, and knows the design of `observer`."""
 
+    needs_servo = True
     feedback_law: ClassVar[Callable[..., float]]
     """See `LawKernel.law`; of its memory only the estimate counts where a move begins."""
     correction: ClassVar[Correction] = staticmethod(correct)

@@ -38,6 +38,8 @@ class IterativeController(ClassicalController[Floats]):
         params: The nominal arm.
     """
 
+    profile = None
+
     def __init__(self, feed_forward: Floats | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params or ArmParams())
         self.feed_forward = feed_forward

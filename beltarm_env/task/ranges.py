@@ -133,7 +133,7 @@ def range_bounds(ranges: Ranges) -> Floats:
     return params_table([ArmParams(**{name: pair[end] for name, pair in ranges.items()}) for end in (0, 1)])
 
 
-def bounds_of(randomization: Randomization, moves: int) -> Floats:
+def shared_bounds(randomization: Randomization, moves: int) -> Floats:
     """Return `range_bounds` of `resolve_ranges`, to be read only; of a word the same array for all environments.
 
     Raises:
@@ -147,9 +147,8 @@ def bounds_of(randomization: Randomization, moves: int) -> Floats:
 
 @cache
 def _bounds_of_word(word: str, moves: int) -> Floats:
-    bounds = range_bounds(resolve_ranges(cast("Randomization", word), moves))
-    bounds.flags.writeable = False
-    return bounds
+    # It can be written as those of a mapping can: kernels for arrays that cannot are others.
+    return range_bounds(resolve_ranges(cast("Randomization", word), moves))
 
 
 @compiled

@@ -86,7 +86,8 @@ class Broken:
     """Controller behind an encoder that stops to count."""
 
     def __init__(self, controller, after):
-        self.controller, self.after, self.params = controller, after, loop.params
+        self.controller, self.after = controller, after
+        self.params, self.profile = loop.params, "trapezoid"
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         step, own, last = (0, None, None) if state is None else state

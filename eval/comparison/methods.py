@@ -12,10 +12,9 @@ from typing import Any, Literal
 
 from agents.policy.bundle import POLICIES, POLICY_FILE, are_alike, load_controller, read_bundle, read_spec
 from agents.policy.description import BundleSpec
-from agents.residual.controller import GuardedResidualController
+from agents.residual.controller import behind_guard
 from baselines import CONTROLLERS
 from baselines.gains import read_file
-from baselines.guard.controller import guarded, servo_for
 from baselines.tools.command import require_known
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
@@ -80,11 +79,10 @@ class Method:
         if self.kind == "privileged":
             return PrivilegedController(*arms, model=model)
         if self.kind == "learned":
-            controller = load_controller(*(self.sources[seed] for seed in seeds))
-            return GuardedResidualController(controller, servo_for(self.base or "")) if self.guarded else controller
-        if self.kind == "added":
-            return custom.make(source)
-        return guarded(source) if self.guarded else CONTROLLERS[source]()
+            controller: Controller = load_controller(*(self.sources[seed] for seed in seeds))
+        else:
+            controller = custom.make(source) if self.kind == "added" else CONTROLLERS[source]()
+        return behind_guard(controller) if self.guarded else controller
 
     def belongings(self) -> dict[str, Carried]:
         """Folders that its controllers are read from, by source: of policies, and of a user's own file.

@@ -19,7 +19,7 @@ from baselines import CONTROLLERS
 from baselines.engines import parallel
 from baselines.engines.isolated import run_isolated
 from baselines.tools.progress import progress_count
-from beltarm_env.rollout import Controller
+from beltarm_env.rollout import Controller, nominal_profile
 from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
 
 _LONGEST_MESSAGE = 300
@@ -107,7 +107,7 @@ class Recorder(Generic[Note]):
     """Controller that keeps a note for each sample, which `note` makes from its memory after it."""
 
     def __init__(self, controller: Any, note: Callable[[Any], Note]) -> None:
-        self.params, self.notes = controller.params, list[Note]()
+        self.params, self.profile, self.notes = controller.params, nominal_profile(controller), list[Note]()
         self._controller, self._note = controller, note
 
     def predict(self, *arguments: Any, **named: Any) -> Any:

@@ -14,13 +14,13 @@ import tyro
 
 from agents.policy.bundle import POLICY_FILE, load_controller, read_spec
 from agents.policy.correction import correction
-from agents.residual.controller import GuardedResidualController
+from agents.residual.controller import behind_guard
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
 from baselines.estimation.filter_design import empty_inputs, room_for
 from baselines.estimation.identification import empty_belief
-from baselines.guard.controller import GuardedController, servo_for
+from baselines.guard.controller import servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
@@ -113,7 +113,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         ValueError: If there is no such controller, no program does what it does, or the policy is missing or damaged.
     """
     if _is_classical(source):
-        name, base_name, residual, base = _name_of(source), source, 0.0, _classical(source)
+        name, residual, base = _name_of(source), 0.0, _classical(source)
         title = f"Controller {name!r} of beltarm" if source in CONTROLLERS else f"Controller {name!r}"
         kernel, identifies = _kernel(base, source, plan_samples), isinstance(base, AdaptiveController)
         params = base.params
@@ -122,9 +122,9 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         if not (Path(source) / POLICY_FILE).is_file():
             require_known((source,), CONTROLLERS, "{} is neither a classical controller nor the folder of a policy")
         controller, (spec, content) = load_controller(source), read_spec(source)
-        name, base_name, residual, base = spec.algorithm, spec.base, spec.residual.limit, controller.informed.base
-        title = f"Policy {name} on {base_name!r} of beltarm, SHA-256 {content['sha256']}"
-        params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
+        name, residual, base = spec.algorithm, spec.residual.limit, controller.informed.base
+        title = f"Policy {name} on {spec.base!r} of beltarm, SHA-256 {content['sha256']}"
+        params, kernel = controller.params or ArmParams(), _kernel(base, spec.base, plan_samples)
         corrected, identifies = correction(controller), spec.residual.knowledge != "none"
         own = corrected.identifier  # beside the base; none where the base's own is shared
         filtering = Filtering(empty_belief(1, SIZE), empty_inputs(), room_for(1)) if identifies and own else None
@@ -136,7 +136,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     remembers = bool(getattr(base, "remembers", False))
     step, design, memory = step_of(propose, remembers=remembers), Guarded(design), Guarded(memory)
     if guard:
-        servo: Any = servo_for(base_name)
+        servo: Any = servo_for(base)
         law, fixed, kept = servo.kernel() if servo is not None else (None, None, None)
         title, step = f"{title}, behind the guard", step_of(propose, True, law, remembers)
         design = design._replace(servo=fixed, guard=GuardSettings().design(params, residual))
@@ -175,6 +175,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
 def controller_of(source: str, guard: bool = True) -> Any:
     """Make the controller in Python whose loop `loop_of` makes."""
     if _is_classical(source):
-        return GuardedController(_classical(source), servo_for(source)) if guard else _classical(source)
-    controller = load_controller(Path(source))
-    return GuardedResidualController(controller, servo_for(read_spec(Path(source))[0].base)) if guard else controller
+        controller: Any = _classical(source)
+    else:
+        controller = load_controller(Path(source))
+    return behind_guard(controller) if guard else controller

@@ -161,10 +161,10 @@ def plain(value: Any) -> Any:
 
 
 def render(name: str, module: Any, data: Mapping[str, Any], folder: Path) -> None:
-    """Write the page of some data, by the template of its name, and its pictures."""
-    write_text(folder / PAGE, text_of(name, module, data))
+    """Write the pictures of some data, and then the page, by the template of its name."""
     if hasattr(module, "pictures"):
         save_figures(module.pictures(data), folder, dpi=110, bbox_inches="tight")
+    write_text(folder / PAGE, text_of(name, module, data))
 
 
 def text_of(name: str, module: Any, data: Mapping[str, Any], template: str = TEMPLATE) -> str:

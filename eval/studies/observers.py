@@ -121,7 +121,7 @@ class _Watched:
 
     def __init__(self, controller: Controller, known: Mapping[str, Watcher]) -> None:
         self.informed = InformedBase(controller)
-        self.params = self.informed.params
+        self.params, self.profile = self.informed.params, self.informed.profile
         self.estimates: dict[str, list[Estimate]] = {name: [] for name in known}
         self._known = known
         self._memories: dict[str, Any] = dict.fromkeys(known)
@@ -153,7 +153,7 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
     """
     watched = _Watched(Source(acting).controller(), known)
     run = rollout(watched, episodes, **split.arguments(slice(episodes)))
-    finished = run.finished[-run.num_arms :]
+    finished = run.stayed
     if not finished.any():
         raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
     true = run.in_turn(truth(run, HOLD))[:, finished]

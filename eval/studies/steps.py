@@ -158,7 +158,7 @@ def _rows(
                 "mean": cost.mean(),
                 "worst": worst_mean(cost),
                 "first_arms": _averages(cost.reshape(-1, options.arms)[:, : options.optima]),
-                "left": np.mean([np.sum(~run.finished[-options.arms :]) for run in runs]),
+                "left": np.mean([np.sum(~run.stayed) for run in runs]),
             }
         )
     return rows, made

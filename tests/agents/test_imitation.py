@@ -97,7 +97,7 @@ class Law:
 def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Recording, monkeypatch: pytest.MonkeyPatch):
     """One torque is changed, everything after it reacts by feedback alone, and the simulated cost changes by -2 h c."""
     monkeypatch.setattr(teaching, "_SOFT", (1e-9, 1e-9))
-    changes, curvatures = best_changes(recording)
+    changes, curvatures = best_changes(recording, torque_price=1.0)
     for arm in range(3):
         law = Law(recording, arm)
         samples, step = np.arange(20, 1000, 70), 2e-6
@@ -116,12 +116,12 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
     recorder = Recorder(Constant(residual))
     controller = ResidualController(CONTROLLERS["preview"](), recorder, settings)
     own = rollout(controller, ARMS, seed=SEED, randomization="train")
-    advice = advise(own, recorder, settings)
+    advice = advise(own, recorder, settings, 1.5)
     changes, curvatures = best_changes(own)
     assert advice.inputs.shape == (-(-EPISODE_STEPS // hold), ARMS, StudentConfig().spec().shape().inputs)
     for k, start in enumerate(range(0, EPISODE_STEPS, hold)):
         c, h = (part[start : start + hold] for part in (changes, curvatures))
-        pulled, weight = h * c - teaching._PRICE * 0.2 * residual, h + teaching._PRICE
+        pulled, weight = h * c - 1.5 * 0.2 * residual, h + 1.5
         best = residual + pulled.sum(axis=0) / weight.sum(axis=0) / 0.2
         np.testing.assert_allclose(advice.labels[k], best.clip(-1, 1), atol=2e-5)
     assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
@@ -139,9 +139,9 @@ def test_advice_on_a_shift():
     inputs, residuals = recorder.held(0, settings.hold)
     fitted = actor(torch.from_numpy(inputs)).detach()[..., 0].clamp(-1, 1)
     np.testing.assert_allclose(residuals, fitted, atol=1e-5)
-    advice, (changes, curvatures) = advise(recording, recorder, settings), best_changes(recording)
+    advice, (changes, curvatures) = advise(recording, recorder, settings, 1.0), best_changes(recording)
     assert advice.labels.shape == (3 * 300, 2) and 0 < curvatures.min() <= curvatures.max() < 100
-    steady = best_changes(recording, price=1e9)[0][0] * recording.params[:, COLUMN.torque_limit]
+    steady = best_changes(recording, torque_price=1e9)[0][0] * recording.params[:, COLUMN.torque_limit]
     np.testing.assert_allclose(steady, recording.torque_before - recording.torque[0], atol=0.02)
     c, h = changes[40:44, 3], curvatures[40:44, 3]
     best = residuals[310, 1] + (h * c - 0.2 * residuals[310, 1]).sum() / (h + 1).sum() / 0.2
@@ -154,7 +154,7 @@ def test_an_arm_that_leaves_changes_no_advice_to_others():
     for residuals in ([[0.0], [0.0]], [[1.0], [0.0]], [[1.0], [1.0]]):
         recorder = Recorder(Constant(np.array(residuals)))
         controller = ResidualController(CONTROLLERS["paper"](), recorder, settings)
-        advice.append(advise(rollout(controller, 2, seed=SEED, **task), recorder, settings))
+        advice.append(advise(rollout(controller, 2, seed=SEED, **task), recorder, settings, 1.0))
     both, one, none = advice
     assert torch.equal(both.labels[:, 1:], one.labels)
     assert [part.shape for part in none] == [(600, 0, *part.shape[2:]) for part in both]
@@ -312,4 +312,4 @@ def test_options_that_are_not_given_are_those_for_a_good_base():
     assert config == PpoConfig(**expected)
     student = config.student()
     assert (student.rounds, student.arms, student.gru_width) == (3, config.teacher_arms, 0)
-    assert (student.hidden, student.residual_limit, student.torque_price) == ((128, 128), 0.5, 5.0)
+    assert (student.hidden, student.residual_limit, student.residual_price) == ((128, 128), 0.5, 3.0)

@@ -58,8 +58,6 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
 @pytest.mark.parametrize("killed", [False, True])
 def test_a_signal_to_the_whole_group_asks_to_stop_as_the_death_of_who_waits_does(killed: bool, tmp_path: Path):
     """As Ctrl-C in a terminal is: the workers get it, too, and leave it to the one that began them."""
-    for name in "ab":
-        (tmp_path / name).mkdir()
     piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen([sys.executable, "-c", SCRIPT], cwd=tmp_path, start_new_session=True, **piped)
     for name in "ab":

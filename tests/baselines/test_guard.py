@@ -11,14 +11,15 @@ from properties import examples
 from refusals import refused
 
 from agents.policy.bundle import POLICIES, load_controller
-from agents.residual.controller import GuardedResidualController
+from agents.residual.controller import behind_guard
 from baselines.guard import guard
-from baselines.guard.controller import guarded, servo_for
+from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
-from beltarm_env import CONTROL_PERIOD, design_model
+from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
+from eval.comparison.rollouts import Recorder
 from eval.studies.guard.faults import FAULTS, FaultyArms
 
 PARAMS = design_model()
@@ -142,24 +143,16 @@ def test_settings_out_of_range_are_refused(value: Any):
 class TestInTheLoop:
     @pytest.mark.parametrize("name", ["paper", "flat"])
     def test_healthy_arms_move_as_without_it_alone_and_in_a_batch(self, name: str):
-        plain, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(guarded(name), 4, **ARMS)
+        plain, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(behind_guard(CONTROLLERS[name]()), 4, **ARMS)
         np.testing.assert_array_equal(plain.torque, behind.torque)
-        alone = rollout(guarded(name), 1, **{**ARMS, "seed": ARMS["seed"] + 2})
+        alone = rollout(behind_guard(CONTROLLERS[name]()), 1, **{**ARMS, "seed": ARMS["seed"] + 2})
         np.testing.assert_array_equal(behind.torque[:, 2], alone.torque[:, 0])
 
     @pytest.mark.parametrize("fault", ["stuck encoder", "sign error"])
-    def test_passive_where_the_encoder_lies(self, fault: str, monkeypatch: pytest.MonkeyPatch):
-        arms, controller, seen = FaultyArms(4, fault, randomization=TRAIN_RANGES), guarded("flat"), list[Any]()
-        predict = controller.predict
-
-        def watched(*arguments: Any, **named: Any) -> Any:
-            action, memory = predict(*arguments, **named)
-            seen.append(memory.level)
-            return action, memory
-
-        monkeypatch.setattr(controller, "predict", watched)
-        run = record(controller, arms, seed=ARMS["seed"])
-        levels = np.array(seen)
+    def test_passive_where_the_encoder_lies(self, fault: str):
+        arms = FaultyArms(4, fault, randomization=TRAIN_RANGES)
+        recorder = Recorder(behind_guard(CONTROLLERS["flat"]()), lambda memory: memory.level)
+        run, levels = record(recorder, arms, seed=ARMS["seed"]), np.array(recorder.notes)
         assert run.finished.all()
         for arm, onset in enumerate(arms.onset):
             assert (levels[:onset, arm] == guard.LEARNED_LEVEL).all()
@@ -170,9 +163,20 @@ class TestInTheLoop:
         policy = load_controller(POLICIES / "ppo" / "seed0")
         policy.policy.predict = lambda seen, *_, **__: (np.full((len(seen), 1), np.nan, np.float32), None)  # type: ignore
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
-        run = rollout(GuardedResidualController(policy, servo_for("adaptive"), of_any_change), 2, **ARMS)
+        run = rollout(behind_guard(policy, of_any_change), 2, **ARMS)
         base = rollout(policy.informed.base, 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
+
+
+def test_the_servo_is_the_tuned_one_for_the_arm_of_a_controller_that_relies_on_an_observer_or_a_plan():
+    servos = {name: servo_for(make()) for name, make in CONTROLLERS.items()}
+    assert {name for name, servo in servos.items() if servo} == {"lqg", "robust", "preview", "mpc", "adaptive"}
+    geared = CONTROLLERS["preview"](params=ArmParams(gear_ratio=100.0))
+    servo: Any = servo_for(geared)
+    assert servo.gains == CONTROLLERS["flat"]().gains and servo.params == geared.params
+    refused(ValueError, ("gear_ratio 100.0", "88"), lambda: GuardedController(geared, CONTROLLERS["flat"]()))
+    geared.profile = "quintic"
+    refused(ValueError, ("'trapezoid'", "'quintic'"), lambda: GuardedController(geared, servo))
 
 
 def test_faults_change_nothing_before_their_onset():

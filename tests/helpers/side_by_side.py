@@ -29,6 +29,7 @@ def fail(error: Exception, _: Channel) -> None:
 
 
 def last(folder: Path, channel: Channel) -> str:
+    folder.mkdir()
     (folder / "began").write_text(str(os.getpid()))
     while not channel.stop.made:
         time.sleep(0.01)
@@ -38,6 +39,7 @@ def last(folder: Path, channel: Channel) -> str:
 
 def die_at_first(folder: Path, times: int, channel: Channel) -> str:
     """Be killed so many times, and succeed after that."""
+    folder.mkdir(exist_ok=True)
     tries = len(list(folder.glob("try*")))
     (folder / f"try{tries}").write_text("")
     if tries < times:
@@ -99,8 +101,7 @@ class Anywhere:
         reported: list[tuple[str, Any]] = []
         tasks = {str(number): partial(square, number) for number in range(5)}
         ends = []
-        run = run_side_by_side(tasks, place, tell=lambda *news: reported.append(news))
-        for name, result in run:
+        for name, result in run_side_by_side(tasks, place, tell=lambda *news: reported.append(news)):
             ends.append((name, result))
             assert [part for task, (_, part) in reported if task == name] == [0, 1, 2], "in order, before the result"
         assert sorted(ends) == [(str(number), number**2) for number in range(5)]
@@ -123,8 +124,6 @@ class InWorkers(Anywhere):
 
     def test_a_request_to_stop_reaches_what_runs_and_the_rest_does_not_begin(self, place: Place, tmp_path: Path):
         stop, folders = StopRequest(), [tmp_path / name for name in "abcd"]
-        for folder in folders:
-            folder.mkdir()
         seen = {"seen": partial(until_begun, folders[:1])}
         tasks = {**seen, **{folder.name: partial(last, folder) for folder in folders}}
         outcomes: dict[str, Any] = {}
@@ -145,7 +144,6 @@ class InWorkers(Anywhere):
             assert place.outcomes(tasks, threads=threads) == dict.fromkeys(tasks, (str(tmp_path), str(threads)))
 
     def test_closing_ends_what_runs(self, place: Place, tmp_path: Path):
-        (tmp_path / "a").mkdir()
         tasks = {"a": partial(last, tmp_path / "a"), "b": partial(until_begun, [tmp_path / "a"])}
         with closing(run_side_by_side(tasks, place)) as ends:
             assert next(ends) == ("b", None)
@@ -156,8 +154,6 @@ class InWorkers(Anywhere):
 
     def test_a_killed_worker_loses_nothing(self, place: Place, tmp_path: Path):
         """Its task is begun again, and so is what ran beside it; one that always dies is reported."""
-        (tmp_path / "once").mkdir()
-        (tmp_path / "always").mkdir()
         squares = {str(number): partial(slow_square, number) for number in range(3)}
         killed = {"once": partial(die_at_first, tmp_path / "once", 1)}
         assert place.outcomes({**killed, **squares}) == {"once": "after 1", "0": 0, "1": 1, "2": 4}

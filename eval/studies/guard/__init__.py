@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.residual.controller import GuardedResidualController, ResidualController
-from baselines.guard.controller import GuardedController, servo_for
+from agents.residual.controller import ResidualController, behind_guard
 from baselines.guard.guard import LEARNED_LEVEL, PASSIVE_LEVEL
 from baselines.guard.settings import GuardSettings
 from beltarm_env.arrays import Flags, Floats
@@ -103,12 +102,9 @@ def base_of(name: str) -> str:
     return method.base or name
 
 
-def with_guard(controller: Controller, name: str) -> Recorder[tuple[Flags, Floats]]:
+def with_guard(controller: Controller) -> Recorder[tuple[Flags, Floats]]:
     """Put the guard behind a controller of the study, and note which commands it changed, and its levels."""
-    servo = servo_for(base_of(name))
-    learned = isinstance(controller, ResidualController)
-    guarded = GuardedResidualController(controller, servo) if learned else GuardedController(controller, servo)
-    return Recorder(guarded, lambda memory: (memory.changed, memory.level))
+    return Recorder(behind_guard(controller), lambda memory: (memory.changed, memory.level))
 
 
 def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
@@ -122,7 +118,7 @@ def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
     env, controller = FaultyArms(arms, fault, randomization="train"), shipped_controller(name)
     if fault == NAN and isinstance(controller, ResidualController):
         controller.policy = BrokenPolicy(controller.policy, env)
-    recorder = with_guard(controller, name) if guard else None
+    recorder = with_guard(controller) if guard else None
     run = record(recorder or controller, env, seed=SEEDS.first)
     levels = np.array([level for _, level in recorder.notes]) if recorder else np.zeros((1, arms))
     return {
@@ -142,7 +138,7 @@ def health(name: str, split: str, episodes: int) -> dict[str, float]:
     """
     arguments = development_set().splits[split].arguments(slice(episodes))
     before = rollout(shipped_controller(name), episodes, **arguments)
-    recorder = with_guard(shipped_controller(name), name)
+    recorder = with_guard(shipped_controller(name))
     after = rollout(recorder, episodes, **arguments)
     changed, levels = map(np.array, zip(*recorder.notes, strict=True))
     return {

@@ -58,7 +58,7 @@ FACTORS = {
     "told": Factor("What must it be told of the arm?", "belief of the filter"),
     "memory": Factor("What is its memory worth?", "GRU of 96"),
     "base": Factor("Which controller should it correct?", "adaptive"),
-    "price": Factor("What does a quiet torque cost?", f"{StudentConfig.torque_price:g} times the task's price"),
+    "residual": Factor("What should a residual cost?", f"price of {StudentConfig.residual_price:g}"),
 }
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
@@ -77,8 +77,8 @@ VARIANTS = (
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
-    Variant("price-1", "price", "the task's price", ("--torque-price", "1"), once=True),
-    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
+    Variant("price-1", "residual", "price of 1", ("--residual-price", "1")),
+    Variant("price-10", "residual", "price of 10", ("--residual-price", "10")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
 )
 
@@ -134,6 +134,13 @@ class Run:
         """Command that trains the same."""
         return shlex.join(["python", *self.words])
 
+    @property
+    def _code(self) -> Path:
+        return self.folder.with_suffix(".code")
+
+    def _is_of_this_code(self) -> bool:
+        return self._code.exists() and self._code.read_text(encoding="utf-8") == training_digest()
+
     def finished(self, arms: int) -> dict[str, Any] | None:
         """Result of an earlier call, if it finished.
 
@@ -145,7 +152,7 @@ class Run:
             return None
         try:
             kept = json.loads(record.read_text(encoding="utf-8"))
-            if (kept["command"], kept["arms"], kept["digest"]) == (self.command, arms, training_digest()):
+            if (kept["command"], kept["arms"]) == (self.command, arms) and self._is_of_this_code():
                 return kept
         except (ValueError, KeyError, TypeError):
             pass
@@ -158,10 +165,9 @@ class Run:
         Raises:
             ValueError: If the training fails, with its own message, or the folder holds another run or other code's.
         """
-        begun, code = RunFolder(self.folder).checkpoint.exists(), self.folder.with_suffix(".code")
-        if begun and (not code.exists() or code.read_text(encoding="utf-8") != training_digest()):
+        if RunFolder(self.folder).checkpoint.exists() and not self._is_of_this_code():
             raise ValueError(f"{self.folder} was begun by other code or gains; delete it, or choose another --runs")
-        write_text(code, training_digest())
+        write_text(self._code, training_digest())
         try:
             train_run(self.words, self.folder)
         except ValueError as error:
@@ -174,7 +180,6 @@ class Run:
             "command": self.command,
             "base": spec.base,
             "commit": spec.provenance["commit"],
-            "digest": training_digest(),
             "minutes": round(float(curve.minutes[-1]), 2),
             "arms": arms,
             "scores": score(load_controller(self.folder / "last"), arms, spec.sensors),

@@ -1,7 +1,6 @@
 """All kernels that Python calls run as C, and give the bits of plain Python."""
 
 import pickle
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from recording_calls import recorded_calls
 
 from agents.policy.bundle import POLICIES, load_controller
 from agents.policy.network import NetworkPolicy
-from baselines.guard.controller import guarded
+from agents.residual.controller import behind_guard
 from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.engine import PLAIN
@@ -57,8 +56,9 @@ def drive(controller: Any, sensors: Any) -> None:
 def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
     with recorded_calls() as calls:
         step_environments()
-        for make in (*CONTROLLERS.values(), partial(guarded, "adaptive"), partial(load_controller, STUDENT)):
-            drive(make(), "encoder")
+        classical = [make() for make in CONTROLLERS.values()]
+        for controller in (*classical, behind_guard(CONTROLLERS["adaptive"]()), load_controller(STUDENT)):
+            drive(controller, "encoder")
         for make in WITH_ACCELEROMETER.values():
             drive(make(), "accelerometer")
         for shape in SHAPES.values():
