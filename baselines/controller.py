@@ -34,7 +34,7 @@ class ClassicalController(ABC, Generic[Memory]):
     profile: ClassVar[Profile | None] = "trapezoid"
     """Shape of the reference that its law rebuilds from the move; None for a law that follows what it observes."""
     needs_servo: ClassVar[bool] = False
-    """Whether it relies on an observer or a plan, so that the guard gives it a servo to fall back to."""
+    """Whether it feeds back an estimate of the whole arm, so that the guard gives it a servo to fall back to."""
 
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()

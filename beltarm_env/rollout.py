@@ -73,9 +73,16 @@ def nominal_params(controller: Controller) -> ArmParams | None:
 
 
 def nominal_profile(controller: object) -> str | None:
-    """The shape of the reference that a controller rebuilds, if its attribute `profile` is one of `PROFILES`."""
+    """The shape of the reference that a controller rebuilds, if it says so in an attribute `profile`.
+
+    Raises:
+        ValueError: If there is no such shape.
+    """
     profile = getattr(controller, "profile", None)
-    return profile if isinstance(profile, str) and profile in PROFILES else None
+    if isinstance(profile, str) and profile not in PROFILES:
+        known = ", ".join(PROFILES)
+        raise ValueError(f"{type(controller).__name__}.profile must be None or one of {known}, got {profile!r}")
+    return profile if isinstance(profile, str) else None
 
 
 def check_profile(controller: object, profile: str) -> None:

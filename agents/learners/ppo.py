@@ -23,6 +23,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.learners.student import Student, StudentConfig
+from agents.learners.teaching import TORQUE_PRICE
 from agents.policy.actor import Actor, Standardised, pairs_of
 from agents.residual.env import ResidualVecEnv
 from agents.residual.knowledge import Knowledge
@@ -77,7 +78,7 @@ class OnPolicyConfig(ReinforcementConfig):
 TAUGHT: dict[str, Any] = {
     **{"total_steps": 400_000, "validation_every": 100_000, "validation_arms": 32, "critic_steps": 140_000},
     **{"arms": 256, "rollout_steps": 128, "batch_size": 8192, "epochs": 4, "learning_rate": 2e-5},
-    **{"entropy": 0.0, "initial_log_std": -3.0, "torque_price": 5.0, "reward_scale": 0.1},
+    **{"entropy": 0.0, "initial_log_std": -3.0, "torque_price": TORQUE_PRICE, "reward_scale": 0.1},
     **{"residual_limit": 0.5, "hidden": [128, 128]},
 }
 """Options of PPO that goes on from a teacher's advice, where none are given: see docs/science/training.md."""

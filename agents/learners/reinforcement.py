@@ -38,7 +38,7 @@ class ReinforcementConfig(RunConfig):
     reward_scale: float = 0.08
     """Factor on the mean reward of a hold. It brings values to order 1."""
     torque_price: float = 25.0
-    """Price of a torque change in training, as a multiple of the task's price. Validation uses the task's price."""
+    """Price of a torque change in the reward, as a multiple of the task's price. Validation uses the task's price."""
     validation_every: int = 500_000
     """Agent steps between validations. Each validation saves a checkpoint."""
 

@@ -8,18 +8,18 @@ student's own state:
     Q_k(v) - Q_k(c[k]) = h[k] (v - c[k])^2,    c[k] = -q[k] / h[k]
 
 with q the slope and h the curvature of the cost to go, both halved. Every later torque is assumed to be optimal, and to
-react to the change by the problem's own feedback. Over the samples k for which a residual u is held, the best one is
+react to the change by the problem's own feedback. A price of p u^2 per sample, u the residual as a share of the torque
+limit, keeps residuals small where they change little, as while the motor sticks. Over the samples k for which a
+residual u is held, the best one is
 
-    y = u + sum h[k] c[k] / sum h[k],    with weight w = sum h[k]
+    y = u + sum (h[k] c[k] - p u) / sum (h[k] + p),    with weight w = sum (h[k] + p)
 
 The slope q is that of the student's own cost: what the best later torques are does not enter it (the envelope theorem,
 which `tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of
-its torques lowers its expected cost, and fitting u to y with weights w is a Gauss-Newton step towards there.
+its torques lowers its expected cost and price, and fitting u to y with weights w is a Gauss-Newton step towards there.
 
-Of a shift every move is advised on by itself, in the state that it begins in. A price of p u^2 per sample, u the
-residual as a share of the torque limit, keeps residuals small where they change little, as while the motor sticks. The
-whole torque has no price: a student that takes the base's torque away while the motor rests has to bring it back, and
-so the torque reverses more often.
+Of a shift every move is advised on by itself, in the state that it begins in. The whole torque has no price: a student
+that takes the base's torque away while the motor rests has to bring it back, and so the torque reverses more often.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -44,7 +44,8 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.timing import CONTROL_PERIOD
 
-_TORQUE_PRICE = 5.0  # of a change of the torque, over what the task charges
+TORQUE_PRICE = 5.0
+"""Price of a change of the torque from sample to sample, over what the task charges."""
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
 _ELAPSED = [entry.name for entry in layout.ENTRIES["encoder"]].index("elapsed_time")
@@ -121,7 +122,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
 
 
 def best_changes(
-    recording: Recording, torque_price: float = _TORQUE_PRICE, pause: Callable[[int], object] = lambda _: None
+    recording: Recording, torque_price: float = TORQUE_PRICE, pause: Callable[[int], object] = lambda _: None
 ) -> tuple[Floats, Floats]:
     """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
 

@@ -171,7 +171,7 @@ def behind_guard(controller: Controller, settings: GuardSettings | None = None) 
     """Put the guard, with the servo that fits, behind a classical controller or one with a residual.
 
     Raises:
-        ValueError: If the controller does not say which arm it is made for.
+        ValueError: If the controller does not say which arm it is made for, or the servo does not fit it.
     """
     if isinstance(controller, ResidualController):
         return GuardedResidualController(controller, servo_for(controller.informed.base), settings)

@@ -53,8 +53,8 @@ class GuardedController:
     """A controller with the guard behind it.
 
     Args:
-        controller: A classical one.
-        servo: What to fall back to where the controller plans; None where there is nothing better than itself.
+        controller: A classical one; with a residual see `agents.residual.controller.behind_guard`.
+        servo: What to fall back to, see `servo_for`; None where there is nothing better than the controller itself.
         settings: Of the guard.
         residual: Largest residual of a learned controller, over the torque limit; 0 for a classical one.
 
@@ -77,7 +77,7 @@ class GuardedController:
         self.profile = nominal_profile(controller) or nominal_profile(servo)
         if servo is not None:
             check_data_sheet(nominal_params(servo), params_table([params]), type(servo).__name__)
-            check_profile(servo, self.profile or "none")
+            check_profile(servo, self.profile or "trapezoid")
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 
@@ -121,7 +121,7 @@ class GuardedController:
 
 
 def servo_for(controller: Controller) -> Controller | None:
-    """Make the servo that a controller falls back to; None for one that relies on no observer or plan.
+    """Make the servo that a controller falls back to; None for one without `needs_servo`.
 
     It is `flat`: stiff, without an observer, and the one that faults of arm and drive impress least.
     """

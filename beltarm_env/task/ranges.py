@@ -134,7 +134,7 @@ def range_bounds(ranges: Ranges) -> Floats:
 
 
 def shared_bounds(randomization: Randomization, moves: int) -> Floats:
-    """Return `range_bounds` of `resolve_ranges`, to be read only; of a word the same array for all environments.
+    """Return `range_bounds` of `resolve_ranges`, of a word the same array for all environments: it must not be written.
 
     Raises:
         ValueError: See `resolve_ranges`.

@@ -117,7 +117,7 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
         run = rollout(method.controllers(seeds, *arms, model=model), len(rows), sensors=method.sensors, **arguments)
         require_these_arms(run, scenarios, rows)
         tables = {name: run.over_moves(values) for name, values in run.metrics().items()}
-        tables[LEFT] = np.where(run.of_move(run.num_moves - 1).finished, 0.0, 1.0)
+        tables[LEFT] = np.where(run.stayed, 0.0, 1.0)
         if parts[0].perturbed:
             again = Perturbed(method.controllers(seeds, *arms, model=model))
             cost = rollout(again, len(rows), sensors=method.sensors, **arguments).cost

@@ -174,8 +174,5 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
 
 def controller_of(source: str, guard: bool = True) -> Any:
     """Make the controller in Python whose loop `loop_of` makes."""
-    if _is_classical(source):
-        controller: Any = _classical(source)
-    else:
-        controller = load_controller(Path(source))
+    controller: Any = _classical(source) if _is_classical(source) else load_controller(source)
     return behind_guard(controller) if guard else controller

@@ -153,12 +153,12 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
     """
     watched = _Watched(Source(acting).controller(), known)
     run = rollout(watched, episodes, **split.arguments(slice(episodes)))
-    finished = run.stayed
-    if not finished.any():
+    stayed = run.stayed
+    if not stayed.any():
         raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
-    true = run.in_turn(truth(run, HOLD))[:, finished]
+    true = run.in_turn(truth(run, HOLD))[:, stayed]
     return {
-        name: score([Estimate(*(part[finished] for part in estimate)) for estimate in estimates], true)
+        name: score([Estimate(*(part[stayed] for part in estimate)) for estimate in estimates], true)
         for name, estimates in watched.estimates.items()
     }
 

@@ -227,6 +227,8 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
     run(config, report=reports.append)
     assert (steps := [news.steps for news in reports]) == sorted(steps) and (steps[0], steps[-1]) == (0, config.length)
     assert len([news for news in reports if news.cost is not None]) == 2
+    run(replace(config, out=tmp_path / "dear", residual_price=9.0))
+    assert not same_policies(tmp_path / "dear", tmp_path)
     monitor = run(replace(config, rounds=2, resume=True))
     assert [point[0] for point in monitor.curve] == [0, config.length, 2 * config.length]
     refused(ValueError, ("--remembered 2, not 3",), lambda: run(replace(config, resume=True, remembered=3)))

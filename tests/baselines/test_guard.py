@@ -163,7 +163,8 @@ class TestInTheLoop:
         policy = load_controller(POLICIES / "ppo" / "seed0")
         policy.policy.predict = lambda seen, *_, **__: (np.full((len(seen), 1), np.nan, np.float32), None)  # type: ignore
         of_any_change = GuardSettings(slew=2.0)  # `adaptive` turns its torque about within a sample
-        run = rollout(behind_guard(policy, of_any_change), 2, **ARMS)
+        run = rollout(guarded := behind_guard(policy, of_any_change), 2, **ARMS)
+        assert guarded.servo is not None
         base = rollout(policy.informed.base, 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 
@@ -175,8 +176,8 @@ def test_the_servo_is_the_tuned_one_for_the_arm_of_a_controller_that_relies_on_a
     servo: Any = servo_for(geared)
     assert servo.gains == CONTROLLERS["flat"]().gains and servo.params == geared.params
     refused(ValueError, ("gear_ratio 100.0", "88"), lambda: GuardedController(geared, CONTROLLERS["flat"]()))
-    geared.profile = "quintic"
-    refused(ValueError, ("'trapezoid'", "'quintic'"), lambda: GuardedController(geared, servo))
+    for geared.profile in ("quintic", "Quintic"):
+        refused(ValueError, ("trapezoid", repr(geared.profile)), lambda: GuardedController(geared, servo))
 
 
 def test_faults_change_nothing_before_their_onset():

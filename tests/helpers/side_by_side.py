@@ -18,7 +18,8 @@ from baselines.engines import parallel
 from baselines.engines.parallel import Channel, Failure, SideBySide, StopRequest, Task, run_side_by_side
 
 
-def square(number: int, channel: Channel) -> int:
+def square(number: int, channel: Channel, wait: float = 0.0) -> int:
+    time.sleep(wait)
     for part in range(3):
         channel.report((number, part))
     return number**2
@@ -29,7 +30,7 @@ def fail(error: Exception, _: Channel) -> None:
 
 
 def last(folder: Path, channel: Channel) -> str:
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     (folder / "began").write_text(str(os.getpid()))
     while not channel.stop.made:
         time.sleep(0.01)
@@ -46,11 +47,6 @@ def die_at_first(folder: Path, times: int, channel: Channel) -> str:
         time.sleep(0.2)
         os.kill(os.getpid(), signal.SIGKILL)
     return f"after {tries}"
-
-
-def slow_square(number: int, channel: Channel) -> int:
-    time.sleep(0.5)
-    return number**2
 
 
 def where(_: Channel) -> tuple[str, str | None]:
@@ -154,7 +150,7 @@ class InWorkers(Anywhere):
 
     def test_a_killed_worker_loses_nothing(self, place: Place, tmp_path: Path):
         """Its task is begun again, and so is what ran beside it; one that always dies is reported."""
-        squares = {str(number): partial(slow_square, number) for number in range(3)}
+        squares = {str(number): partial(square, number, wait=0.5) for number in range(3)}
         killed = {"once": partial(die_at_first, tmp_path / "once", 1)}
         assert place.outcomes({**killed, **squares}) == {"once": "after 1", "0": 0, "1": 1, "2": 4}
         outcomes = place.outcomes({"always": partial(die_at_first, tmp_path / "always", 99), **squares})

@@ -51,7 +51,7 @@ def outstanding(policy: str, k: int, arms: int) -> tuple[Advice, Floats]:
     controller, moves = load_controller(policy), _FIT.moves
     controller.policy = recorder = Recorder(controller.policy)
     run = rollout(controller, arms, seed=_FIRST + k * arms, randomization="train", moves=moves)
-    advice, stayed = advise(run, recorder, controller.settings, _FIT.residual_price), run.of_move(moves - 1).finished
+    advice, stayed = advise(run, recorder, controller.settings, _FIT.residual_price), run.stayed
     hold = controller.settings.hold
     now = torch.from_numpy(recorder.held(int(np.argmax(stayed)), hold)[1][:, stayed].astype(np.float32))
     return advice._replace(labels=advice.labels - now), _truth(run, hold)[:, stayed]

@@ -212,5 +212,5 @@ def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[s
     shown = (*SCORES, "still_s", "torque_reversals_hz")
     scores = {f"{name}_mean": float(np.mean(metrics[name])) for name in shown}
     scores |= {f"{name}_median": float(np.median(metrics[name])) for name in shown}
-    scores["left_percent"] = 100.0 * float(np.mean(~run.of_move(run.num_moves - 1).finished))
+    scores["left_percent"] = 100.0 * float(np.mean(~run.stayed))
     return {name: round(value, 4) for name, value in scores.items()}
