@@ -79,7 +79,7 @@ class StudentConfig(RunConfig):
     """Number of the last rounds whose advice is fitted."""
     epochs: int = 1
     """Passes over that advice in each round."""
-    residual_price: float = 3.0
+    residual_price: float = 1.0
     """Price of a squared residual in the teacher's objective. With more the torque reverses less often."""
     validation_arms: int = 32
     batch_size: int = 16

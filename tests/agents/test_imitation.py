@@ -314,4 +314,4 @@ def test_options_that_are_not_given_are_those_for_a_good_base():
     assert config == PpoConfig(**expected)
     student = config.student()
     assert (student.rounds, student.arms, student.gru_width) == (3, config.teacher_arms, 0)
-    assert (student.hidden, student.residual_limit, student.residual_price) == ((128, 128), 0.5, 3.0)
+    assert (student.hidden, student.residual_limit, student.residual_price) == ((128, 128), 0.5, 1.0)

@@ -77,7 +77,7 @@ VARIANTS = (
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
-    Variant("price-1", "residual", "price of 1", ("--residual-price", "1")),
+    Variant("price-3", "residual", "price of 3", ("--residual-price", "3")),
     Variant("price-10", "residual", "price of 10", ("--residual-price", "10")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
 )
