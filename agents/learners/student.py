@@ -8,7 +8,8 @@ round
     1. new arms, and a move for each, are drawn, and the student makes the moves;
     2. the teacher gives the best residual y and its weight w for every hold of every arm;
     3. the student u is fitted to the last rounds' advice: min sum w H(u - y), Huber's H. Its memory goes through whole
-       episodes, gradients through segments of them (truncated backpropagation through time).
+       episodes, gradients through segments of them (truncated backpropagation through time). What the memory holds has
+       to tell, too, by what the filter is wrong (an auxiliary task [2]): the policy does not have this second head.
 
 This is DAgger [1] with a teacher who is asked about the student's states alone, and a policy gradient without
 exploration noise: docs/science/learning.md says why it works where reinforcement learning does not.
@@ -18,6 +19,7 @@ The untrained student is its base, bit for bit. It acts, in training as after it
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
 Online Learning, AISTATS 2011.
+[2] M. Jaderberg et al.: Reinforcement Learning with Unsupervised Auxiliary Tasks, ICLR 2017.
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ from torch import nn
 from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Advice, Recorder, advise
+from agents.observer.quantities import NAMES
 from agents.policy.actor import Actor, Regression
 from agents.policy.network import NetworkPolicy
+from agents.policy.weights import ActorShape
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.settings import RunConfig
@@ -48,6 +52,7 @@ MAX_GRADIENT = 5.0
 """Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 _HUBER = 0.2  # threshold of the loss, as a share of the torque limit
+_FAR = 2.0  # errors of a filter that count less, over those of the first round
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,15 @@ class StudentConfig(RunConfig):
         return Student(self)
 
 
+class ObservingActor(Actor):
+    """Actor that estimates in training, from the same features, what the filter is wrong by."""
+
+    def __init__(self, shape: ActorShape) -> None:
+        super().__init__(shape)
+        self.estimates = nn.Linear(shape.inputs + shape.gru, len(NAMES))
+        self.register_buffer("missed", torch.ones(len(NAMES)))
+
+
 class Student:
     """Residual policy that learns from a teacher's advice, as `agents.runs.training.Learner`.
 
@@ -139,7 +153,7 @@ class Student:
         self._monitor: TrainingMonitor | None = None
         self._steps_of_round = 0
         shape = config.spec().shape()
-        actor = Actor(shape if inputs is None else replace(shape, inputs=inputs))
+        actor = ObservingActor(shape if inputs is None else replace(shape, inputs=inputs))
         for parameter in actor.layers[-1].parameters():
             nn.init.zeros_(parameter)  # so that it does what its base does
         self._regression = Regression(actor, MAX_GRADIENT)
@@ -218,6 +232,7 @@ class Student:
             return 0.0
         if not network.mean.any():  # in the first round; the average takes over what is no weight with its next step
             network.set_scales(advice.inputs.float())
+            network.missed = advice.missed.flatten(0, 1).square().mean(dim=0).sqrt().clamp(min=1e-9)
 
         network.to(config.device)
         batches = -(-episodes // config.batch_size)
@@ -229,12 +244,13 @@ class Student:
                 rate = config.learning_rate_left(1 - share_done)
                 memory = None
                 for segment in zip(*(part[:, chosen].split(config.segment) for part in advice), strict=True):
-                    seen, best, weight = (part.to(config.device) for part in segment)
+                    seen, best, weight, missed = (part.to(config.device) for part in segment)
                     features, memory = network.features(seen.float(), memory)
                     memory = None if memory is None else memory.detach()
                     error = (network.layers(features)[..., 0] - best) * config.residual_limit
                     losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=_HUBER)
-                    self._regression.step(_SCALE * (weight * losses).mean(), rate)
+                    observed = huber_loss(network.estimates(features), missed / network.missed, delta=_FAR)
+                    self._regression.step(_SCALE * (weight * losses).mean() + observed, rate)
                     errors.append(float((weight * error.detach().square()).mean()))
         network.to("cpu")
         mean = float(np.mean(errors))

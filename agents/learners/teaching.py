@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from agents.observer.quantities import NAMES, missed
 from agents.residual.controller import ResidualSettings
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, design_model
@@ -58,6 +59,7 @@ class Advice(NamedTuple):
     inputs: torch.Tensor  # shape (holds of all moves, arms, inputs), half precision
     labels: torch.Tensor  # best residuals, shape (holds of all moves, arms)
     weights: torch.Tensor  # of mean 1, shape (holds, arms)
+    missed: torch.Tensor  # by what the filter is wrong, see `agents.observer.quantities`, (holds, arms, quantities)
 
 
 class Recorder:
@@ -103,7 +105,7 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     if not len(stayed):  # and so the episodes broke off
         nothing = torch.zeros(moves * -(-EPISODE_STEPS // hold), 0)
         inputs = torch.zeros(*nothing.shape, recorder.inputs[0].shape[1]).half()
-        return Advice(inputs, nothing, nothing)
+        return Advice(inputs, nothing, nothing, torch.zeros(*nothing.shape, len(NAMES)))
     changes, curvatures = best_changes(recording, pause=recorder.pause)
 
     def sums(samples: Floats) -> Floats:
@@ -116,9 +118,9 @@ def advise(recording: Recording, recorder: Recorder, settings: ResidualSettings,
     own = np.repeat(by_move * limit, hold, axis=0)[:EPISODE_STEPS]
     slopes, weights = sums(changes * curvatures - price * own), sums(curvatures + price)
     best = np.clip(residuals[:, stayed] + slopes / weights / limit, -1.0, 1.0)
-    arrays = best, weights / weights.mean()
-    labels, weights = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
-    return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights)
+    arrays = best, weights / weights.mean(), missed(recording, seen, hold, settings.knowledge)[:, stayed]
+    labels, weights, errors = (torch.from_numpy(array.astype(np.float32)) for array in arrays)
+    return Advice(torch.from_numpy(seen[:, stayed]).half(), labels, weights, errors)
 
 
 def best_changes(

@@ -23,30 +23,19 @@ import numpy as np
 import torch
 from torch import nn
 
+from agents.observer.quantities import BELIEVED, NAMES, QUANTITIES, SCALES
 from agents.policy.actor import Standardised
 from agents.policy.network import begun
 from agents.residual.bases import base_settings, settings_hash
-from agents.residual.knowledge import ENTRIES, Knowledge, offered
+from agents.residual.knowledge import Knowledge, offered
 from agents.tensor_file import MAX_BYTES, packed, unpacked
-from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.tools.command import this_python
 from baselines.tools.files import read_regular, write_bytes
 from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.observation import LAYOUT, Entry
+from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
 
-_STATES = ("torsion", "torsion_speed", "tip_error_x", "tip_error_y", "tip_speed_error_x", "tip_speed_error_y")
-_TOLD = {entry.name: entry for entry in ENTRIES["belief"]}
-QUANTITIES: tuple[Entry, ...] = tuple(_TOLD[f"believed_{name}"]._replace(name=name) for name in (*_STATES, *IDENTIFIED))
-"""All that is estimated, with units; of constants, see `baselines.estimation.believed_arm`, the logarithms over their
-nominal values."""
-NAMES = tuple(quantity.name for quantity in QUANTITIES)
-SCALES = np.array([quantity.scale for quantity in QUANTITIES])
-BELIEVED = tuple(f"believed_{name}" for name in NAMES)
-"""Entries of an agent's observation that hold a filter's estimates of them."""
-DOUBTS = {name: f"doubt_of_{name}" for name in NAMES if f"doubt_of_{name}" in _TOLD}
-"""Entries that hold the filter's standard deviations, where it states one."""
 SHIPPED = Path(__file__).resolve().parent / "shipped"
 """Folder of the shipped observers: `belief.safetensors` corrects the filter, `none.safetensors` has none."""
 MAX_WIDTH = 128

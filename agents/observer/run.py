@@ -31,24 +31,21 @@ import agents
 import baselines
 import beltarm_env
 from agents.observer.network import Observer, save_observer
+from agents.observer.quantities import truth
 from agents.policy.actor import Regression
 from agents.policy.bundle import POLICIES, load_controller, read_spec
 from agents.residual.bases import make_base
 from agents.residual.knowledge import InformedBase, Knowledge
 from agents.runs.checkpoint import written_by
 from baselines.engines.parallel import Channel, Failure, SideBySide, run_side_by_side
-from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
 from baselines.gains import FILE as GAINS
 from baselines.tools.command import require_bounds
 from baselines.tools.files import require_writable, write_atomically
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
-from beltarm_env import design_model
-from beltarm_env.arm import COLUMN, FIELDS, plant_of
-from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.physics.drive import belt_motions, built_drive
-from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.arrays import Flags, Singles
+from beltarm_env.rollout import Controller, rollout
 from beltarm_env.sources import sources_digest
 from beltarm_env.task.ranges import RANGES, Randomization
 from beltarm_env.task.seeds import OBSERVER
@@ -176,32 +173,6 @@ class Disturbed:
         fresh = self._random.standard_normal((len(observation), 1))
         self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
         return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
-
-
-def truth(recording: Recording, hold: int) -> Floats:
-    """True quantities at samples 0, hold, 2 hold, ..., shape (samples, n, quantities).
-
-    Constants are per commanded torque: a torque constant that is too high by k looks like an arm whose inertias,
-    stiffness and friction are lower by 1 + k, and nothing that is measured tells the two apart. Friction is that of the
-    episode's start, from which it drifts. Nothing is recorded at sample 0, where the arm rests: it has the next one's.
-    """
-    rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
-    count = len(recording.params)
-    belts = np.empty((len(rows), count, 2))  # of the belts themselves, which the error of the gear moves too
-    for i, row in enumerate(recording.params):
-        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
-    constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
-    return np.concatenate([belts, recording.tip_error[rows], recording.tip_velocity_error[rows], constants], axis=2)
-
-
-def _logs(table: Floats) -> Floats:
-    """Logarithms of the identified constants over those of the model that controllers are made for, (n, constants)."""
-    nominal = nominal_row(design_model())
-    columns = [FIELDS.index(name) for name in IDENTIFIED]
-    constants = table[:, columns]
-    swing = IDENTIFIED.index("arm_inertia_swing")
-    constants[:, swing] = [plant_of(row).inertia_swing for row in table]  # with the payload
-    return np.log(constants / nominal[columns]) - np.log1p(table[:, [COLUMN.torque_constant_error]])
 
 
 def simulate(

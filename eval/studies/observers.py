@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.observer import network
-from agents.observer.network import BELIEVED, NAMES, SCALES, Estimate, Observer
-from agents.observer.run import Source, truth
+from agents.observer.network import Estimate, Observer
+from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, SCALES, truth
+from agents.observer.run import Source
 from agents.residual.knowledge import InformedBase, Knowledge, offered
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -44,7 +45,7 @@ class FilterAlone:
         entries = offered("belief")
         at = {entry.name: k for k, entry in enumerate(entries)}
         self._believed = [at[name] for name in BELIEVED]
-        self._doubts = [(k, at[network.DOUBTS[name]]) for k, name in enumerate(NAMES) if name in network.DOUBTS]
+        self._doubts = [(k, at[DOUBTS[name]]) for k, name in enumerate(NAMES) if name in DOUBTS]
         self._doubt_units = np.array([entries[k].scale for _, k in self._doubts])
 
     def observe(self, seen: Singles, memory: Any = None, episode_start: Flags | None = None) -> tuple[Estimate, None]:

@@ -21,10 +21,12 @@ from agents.learners import teaching
 from agents.learners.ppo import TAUGHT, PpoConfig, TaughtLearner
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
+from agents.observer.quantities import NAMES
 from agents.policy.actor import Actor
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
+from agents.residual.knowledge import offered
 from agents.runs.command_line import begun_options
 from agents.runs.training import News, TrainingMonitor, validate
 from baselines import CONTROLLERS
@@ -146,6 +148,9 @@ def test_advice_on_a_shift():
     c, h = changes[40:44, 3], curvatures[40:44, 3]
     best = residuals[310, 1] + (h * c - 0.2 * residuals[310, 1]).sum() / (h + 1).sum() / 0.2
     assert float(advice.labels[310, 1]) == pytest.approx(best, abs=1e-5)
+    at = [entry.name for entry in offered("belief")].index("believed_tip_error_y")
+    error = recording.tip_error[39, 3, 1] - 0.003 * recorder.inputs[310][1, at]
+    assert float(advice.missed[310, 1, NAMES.index("tip_error_y")]) == pytest.approx(error, rel=1e-3) != 0
 
 
 def test_an_arm_that_leaves_changes_no_advice_to_others():
@@ -156,7 +161,7 @@ def test_an_arm_that_leaves_changes_no_advice_to_others():
         controller = ResidualController(CONTROLLERS["paper"](), recorder, settings)
         advice.append(advise(rollout(controller, 2, seed=SEED, **task), recorder, settings, 1.0))
     both, one, none = advice
-    assert torch.equal(both.labels[:, 1:], one.labels)
+    assert torch.equal(both.labels[:, 1:], one.labels) and torch.equal(both.missed[:, 1:], one.missed)
     assert [part.shape for part in none] == [(600, 0, *part.shape[2:]) for part in both]
     learner = Student(tiny("student", Path("unused")))
     learner.advice = [none]
@@ -171,7 +176,7 @@ def test_a_memory_tells_apart_what_looks_the_same(width: int, segment: int, reme
     labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
     fit = {"rounds": 1, "epochs": 300, "learning_rate": 0.02}
     learner = Student(tiny("student", Path("unused"), **fit, gru_width=width, segment=segment))
-    learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2))]
+    learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2), torch.zeros(10, 2, len(NAMES)))]
     learner.fit()
     actor = learner._regression.network
     outputs = actor(inputs)

@@ -14,8 +14,9 @@ from refusals import refused
 
 from agents.observer import network
 from agents.observer import run as running
-from agents.observer.network import BELIEVED, MAX_WIDTH, NAMES, SCALES, Observer, load_observer, save_observer
-from agents.observer.run import Episodes, ObserverConfig, fit, truth
+from agents.observer.network import MAX_WIDTH, Observer, load_observer, save_observer
+from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
+from agents.observer.run import Episodes, ObserverConfig, fit
 from agents.residual.knowledge import InformedBase, offered
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.observer.network import NAMES, Estimate
+from agents.observer.network import Estimate
+from agents.observer.quantities import NAMES
 from baselines import PaperController
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
@@ -15,8 +16,6 @@ from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
 from eval.studies.observers import score, scores_of, watchers
 from eval.studies.presliding import CLEAN, verdicts
-
-# Drive
 
 
 @pytest.mark.parametrize("name", [IDEAL, *EFFECTS])
@@ -33,9 +32,6 @@ def test_arms_have_the_effects_asked_for_and_no_others(name: str):
             assert (arms[:, column] * drawn[:, column] >= 0).all(), "signs are those drawn"
         np.testing.assert_array_equal(np.delete(arms, [*columns], 1), np.delete(drawn, [*columns], 1))
         assert all(ArmParams.from_row(row) for row in arms), "twice the ranges are within the bounds"
-
-
-# Guard
 
 
 def test_a_faulty_arm_that_leaves_changes_nothing_for_the_others():
@@ -56,9 +52,6 @@ def test_a_classical_controller_is_its_own_base_and_has_no_weights():
     assert worse_measures(row | worse) == ["peak", "left"]
 
 
-# Observers
-
-
 def test_scores_of_errors_that_are_known():
     true = np.zeros((1, 4, len(NAMES)))
     mean = np.repeat(np.array([[0.5], [-0.5], [1.5], [-3.0]]), len(NAMES), axis=1)
@@ -74,9 +67,6 @@ def test_observers_correct_the_filter_and_know_how_well():
     assert (corrected.rms / known.rms).max() < 1.0 and 0.62 < corrected.within_one.mean() < 0.76
     torsion = NAMES.index("torsion")
     assert alone.rms[torsion] > known.rms[torsion], "the encoder alone shows less"
-
-
-# Presliding
 
 
 def test_the_answer_follows_an_order_that_turns():

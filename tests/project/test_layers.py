@@ -22,7 +22,7 @@ FLOORS = {
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
         *("yardsticks loops", "registry", "guard tuning"),
     ),
-    "agents": ("tensor_file residual", "policy", "runs", "learners observer"),
+    "agents": ("tensor_file residual", "policy", "runs", "observer", "learners"),
     "eval": ("comparison reference", "report", "exports", "studies", "speed"),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.
