@@ -85,7 +85,7 @@ def nominal_profile(controller: object) -> str | None:
     return profile if isinstance(profile, str) else None
 
 
-def check_profile(controller: object, profile: str) -> None:
+def check_profile(controller: object, profile: str | None) -> None:
     """Check that a controller that rebuilds the reference rebuilds this one, or raise ValueError."""
     if nominal_profile(controller) not in (None, profile):
         raise ValueError(

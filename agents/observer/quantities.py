@@ -24,6 +24,12 @@ BELIEVED = tuple(f"believed_{name}" for name in NAMES)
 """Entries of an agent's observation that hold a filter's estimates of them."""
 DOUBTS = {name: f"doubt_of_{name}" for name in NAMES if f"doubt_of_{name}" in _TOLD}
 """Entries that hold the filter's standard deviations, where it states one."""
+_AT = [list(_TOLD).index(name) - len(_TOLD) for name in BELIEVED]  # from the end of what an agent observes
+
+
+def believed(seen: Singles) -> Floats:
+    """What the filter believes, shape (..., quantities), of what an agent observes that is told it."""
+    return seen[..., _AT].astype(np.float64) * SCALES
 
 
 def missed(recording: Recording, seen: Singles, hold: int, knowledge: Knowledge) -> Floats:
@@ -35,10 +41,8 @@ def missed(recording: Recording, seen: Singles, hold: int, knowledge: Knowledge)
         hold: Samples of a hold.
         knowledge: That of the agent; without a filter's belief all is missed.
     """
-    true, names = recording.in_turn(truth(recording, hold)), [entry.name for entry in ENTRIES[knowledge]]
-    if knowledge == "none":
-        return true
-    return true - seen[..., [names.index(name) - len(names) for name in BELIEVED]] * SCALES
+    true = recording.in_turn(truth(recording, hold))
+    return true if knowledge == "none" else true - believed(seen)
 
 
 def truth(recording: Recording, hold: int) -> Floats:

@@ -77,7 +77,7 @@ class GuardedController:
         self.profile = nominal_profile(controller) or nominal_profile(servo)
         if servo is not None:
             check_data_sheet(nominal_params(servo), params_table([params]), type(servo).__name__)
-            check_profile(servo, self.profile or "trapezoid")
+            check_profile(servo, self.profile)
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 

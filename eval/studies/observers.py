@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from agents.observer import network
 from agents.observer.network import Estimate, Observer
-from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, SCALES, truth
+from agents.observer.quantities import DOUBTS, NAMES, QUANTITIES, believed, truth
 from agents.observer.run import Source
 from agents.residual.knowledge import InformedBase, Knowledge, offered
 from baselines.tools.progress import progress_over
@@ -44,7 +44,6 @@ class FilterAlone:
     def __init__(self) -> None:
         entries = offered("belief")
         at = {entry.name: k for k, entry in enumerate(entries)}
-        self._believed = [at[name] for name in BELIEVED]
         self._doubts = [(k, at[DOUBTS[name]]) for k, name in enumerate(NAMES) if name in DOUBTS]
         self._doubt_units = np.array([entries[k].scale for _, k in self._doubts])
 
@@ -52,7 +51,7 @@ class FilterAlone:
         """Belief and doubts; no memory is needed."""
         deviation = np.full((len(seen), len(NAMES)), np.nan)
         deviation[:, [k for k, _ in self._doubts]] = seen[:, [k for _, k in self._doubts]] * self._doubt_units
-        return Estimate(seen[:, self._believed].astype(np.float64) * SCALES, deviation), None
+        return Estimate(believed(seen), deviation), None
 
 
 Watcher = Observer | FilterAlone
@@ -84,7 +83,7 @@ def measure(options: Options) -> dict[str, Any]:
         "acting": ACTING,
         "watchers": list(known),
         "hold": HOLD,
-        "quantities": [{"name": quantity.name, "unit": quantity.unit} for quantity in network.QUANTITIES],
+        "quantities": [{"name": quantity.name, "unit": quantity.unit} for quantity in QUANTITIES],
         "sizes": [
             {
                 "observer": name,

@@ -169,7 +169,7 @@ class TestInTheLoop:
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
 
 
-def test_the_servo_is_the_tuned_one_for_the_arm_of_a_controller_that_relies_on_an_observer_or_a_plan():
+def test_the_servo_is_the_tuned_one_for_the_arm_of_a_controller_that_needs_it():
     servos = {name: servo_for(make()) for name, make in CONTROLLERS.items()}
     assert {name for name, servo in servos.items() if servo} == {"lqg", "robust", "preview", "mpc", "adaptive"}
     geared = CONTROLLERS["preview"](params=ArmParams(gear_ratio=100.0))
