@@ -141,6 +141,7 @@ def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
         ValueError: If the journal is damaged, or was begun with other code or options.
     """
     begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
+    begun["base_hash"] = config.run({}, 0).identity()["base_hash"]
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3)
     packages, remedy = ("beltarm_env", "baselines", "agents"), "give the same options, or choose another --out"
     journal = config.file("journal")

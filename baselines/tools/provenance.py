@@ -11,6 +11,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+from baselines.tools.files import sha256_of
 from beltarm_env import __version__
 from beltarm_env.sources import sources_digest
 
@@ -76,9 +77,9 @@ def _git(*arguments: str | Path) -> str:
 def code_and_packages() -> str:
     """Hash of all that numbers depend on besides options and files: code, tuned gains, Python and its packages."""
     code = sources_digest(*(_ROOT / folder for folder in ("beltarm_env", "baselines", "agents", "train", "eval")))
-    gains = hashlib.sha256((_ROOT / "baselines" / "gains.json").read_bytes()).hexdigest()
+    gains = [sha256_of(_ROOT / "baselines" / name) for name in ("gains.json", "optimal/robust.json")]
     packages = [f"{name} {version(name)}" for name in _PACKAGES]
-    return hashlib.sha256("\n".join([code, gains, platform.python_version(), *packages]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([code, *gains, platform.python_version(), *packages]).encode()).hexdigest()
 
 
 def software(*packages: str) -> dict[str, object]:

@@ -92,8 +92,9 @@ def parts_of(method: Method, split: Split, episodes: int, perturbed: bool = Fals
 
 @cache
 def _code() -> list[str]:
-    """SHA-256 of the code of plant, controllers and policies and of kept gains; versions of the packages below it."""
-    sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+    """SHA-256 of the code of plant, controllers, policies and comparison, and of kept gains; versions of packages."""
+    packages = (beltarm_env, baselines, agents)
+    sources = sources_digest(*(Path(package.__path__[0]) for package in packages), Path(__file__).parent)
     kept = sha256_of(robust.FILE)
     return [sources, kept, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 

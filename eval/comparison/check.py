@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
 from baselines.tools.command import this_python
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
@@ -29,7 +29,6 @@ from eval.comparison.rollouts import Failure, place, run_controller, trace
 ActionTimes = tuple[float, float]
 """Median and 99th percentile of the time per action for one arm [us]."""
 PERIOD_US = 1e6 * CONTROL_PERIOD
-_TIMED_ACTIONS = 300
 _LATE = f": a 99th percentile beyond the period of {PERIOD_US:.0f} µs"
 
 _SEED, _ARMS = PROTOCOL_CHECK
@@ -269,7 +268,7 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
 
 
 def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
-    """Time the actions of a controller for one nominal arm."""
-    samples = drive(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors)
+    """Time the actions of a controller for one nominal arm, over a whole move: plans near its end take the longest."""
+    samples = drive(controller, 1, EPISODE_STEPS, seed, sensors=sensors)
     median, slow = np.percentile([1e6 * sample.seconds for sample in samples], [50, 99])
     return float(median), float(slow)

@@ -30,6 +30,7 @@ _FILES = {
     "agents/policies*/**/*.safetensors": "agents.policy",
     "agents/observer/shipped/*.safetensors": "agents.observer",
     "eval/comparison/scenarios.json": "eval.comparison.sets",
+    "eval/report/verdict*": "eval.comparison.run",
     "eval/exports/templates/*.[ch].j2": "eval.exports",
 }
 """Files that a measurement depends on if it reaches a package, or a module of it."""
@@ -37,15 +38,14 @@ _STARTS = ("measure", "Options")
 """Names of a module from which all that measures is reached."""
 
 
-def provenance(module: str, seconds: float, starts: Iterable[str] = _STARTS) -> dict[str, Any]:
-    """Provenance of what a module has just measured, in some seconds, by its functions `starts`."""
+def provenance(module: str, starts: Iterable[str] = _STARTS) -> dict[str, Any]:
+    """Provenance of what a module is about to measure by its functions `starts`: of the code that is there now."""
     return {
         "command": command_line(),
         "version": __version__,
         "commit": commit(),
         "python": platform.python_version(),
         "machine": f"{_processor()}, {os.cpu_count()} cores",
-        "seconds": round(seconds, 1),
         "inputs": inputs_digest(module, tuple(starts)),
     }
 
@@ -112,14 +112,10 @@ def _is_text(node: ast.stmt) -> bool:
 def _reached(path: Path, starts: tuple[str, ...]) -> tuple[ast.stmt, ...]:
     """Statements of a module that its functions and classes `starts` use, one through the other."""
     statements = _statements(path)
-    binding = {name: node for node in statements for name in _bound(node)}
-    kept: set[ast.stmt] = set()
-    waiting = [name for name in starts if name in binding]
-    while waiting:
-        node = binding[waiting.pop()]
-        if node not in kept:
-            kept.add(node)
-            waiting += [each.id for each in ast.walk(node) if isinstance(each, ast.Name) and each.id in binding]
+    kept, wanted = set[ast.stmt](), set(starts)
+    while found := {node for node in statements if node not in kept and wanted.intersection(_bound(node))}:
+        kept |= found
+        wanted |= {each.id for node in found for each in ast.walk(node) if isinstance(each, ast.Name)}
     return tuple(node for node in statements if node in kept)
 
 

@@ -26,7 +26,7 @@ MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
 """Module and functions that measure a comparison, for the digest of the code."""
 PAIRED_METRICS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 MOSTLY = 0.95
-"""Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
+"""Share of its moves that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
 arrives on easy arms alone looks better than it is."""
 
 Against = Literal["best classical", "base"]
@@ -253,14 +253,12 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: list[Pair]) -
     return {**marks, best.name: "best"}
 
 
-def provenance(
-    command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
-) -> dict[str, Any]:
-    """Provenance of the results: command, commit, digest of the code, scenarios, policies, packages."""
+def provenance(command: str, methods: Sequence[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
+    """Provenance of results to come: command, commit, digest of the code, scenarios, policies, packages."""
     packages = ["numpy", "scipy", "ziglang", "gymnasium"]
     packages += [name for name in ("torch", "stable-baselines3") if find_spec(name.replace("-", "_"))]  # of users' own
     return {
-        **about(MEASURES, seconds, STARTS),
+        **about(MEASURES, STARTS),
         "command": command,
         "beltarm": __version__,
         "splits_version": splits.VERSION,

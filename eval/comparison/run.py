@@ -91,10 +91,10 @@ def compare(
             they did when the scenarios were drawn, or no method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept, and how to go on.
     """
-    began = time.perf_counter()
     require_writable(folder)
     _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
+    origin, began = provenance(command_line(), methods, scenarios.splits), time.perf_counter()
     failed, main = first_failures(methods), main_split(list(scenarios.splits))
     parts = {
         (split.name, method.name): parts_of(method, split, episodes, perturbed=split.name == main)
@@ -132,8 +132,8 @@ def compare(
         MethodOutcome(method, split, metrics, of_metrics, action_times, len(scenarios.splits[split].tables))
         for (method, split, metrics, action_times), of_metrics in zip(measured, estimates, strict=True)
     ]
-    origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
-    return make_comparison(outcomes, failures, scenarios.label, origin | {"pairs_kept_before": kept})
+    origin |= {"seconds": round(time.perf_counter() - began, 1), "pairs_kept_before": kept}
+    return make_comparison(outcomes, failures, scenarios.label, origin)
 
 
 def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioSet, episodes: int) -> None:

@@ -37,17 +37,16 @@ def record_scenes(
         before = titles.get((split, scenario))
         titles[split, scenario] = f"{before}; {title}" if before else title
     notable = [Scene(title, *place) for place, title in titles.items()]
-    traces = [
-        Scene("median scenario", split, _median(comparison.on(split)[0].metrics["tip_rms_mm"][0]))
-        for split in comparison.splits()
-    ]
+    first = [comparison.on(split)[0] for split in comparison.splits()]
+    traces = [Scene(f"median scenario of {one.name}", one.split, _median(one, "tip_rms_mm")) for one in first]
     recorded, failures = record([*notable, *traces], comparison, splits, _shown(comparison), jobs)
     shown = [scene for scene in recorded[: len(notable)] if scene.motions]
     traced = [scene for scene in recorded[len(notable) :] if scene.motions]
     return shown, traced, failures
 
 
-def _median(values: np.ndarray) -> int:
+def _median(outcome: MethodOutcome, metric: str = "cost") -> int:
+    values = outcome.metrics[metric][outcome.median_seed]
     return int(np.argsort(values)[len(values) // 2])
 
 
@@ -81,7 +80,7 @@ def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
     name = lead.name
     outcomes = [outcome for outcome in comparison.outcomes if outcome.name == name]
     costs = {outcome.split: outcome.metrics["cost"][lead.median_seed] for outcome in outcomes}
-    notable = [(f"the median run of {name}", home, _median(costs[home]))]
+    notable = [(f"the median run of {name}", home, _median(lead))]
     notable.append((f"the worst run of {name} on all splits", *_extreme(costs)))
     best = {split: comparison.best_classical(split) for split in costs}
     losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.name != name}

@@ -116,7 +116,7 @@ def headline(results: Results) -> str:
     change = f"the move costs {100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
     change += ", a practical tie" if is_tie("cost", cost["result"], cost["relative"]) else ""
     change = {"open": "no difference in the cost of the move is shown"}.get(cost["result"], change)
-    return f"After {after} the arm's end is still in {still}; {change}."
+    return f"After {after} the arm's end is still in {still}, on average; {change}."
 
 
 def described(results: Results) -> list[dict[str, Any]]:

@@ -192,7 +192,7 @@ class Results:
             "mean": lambda row: Cell(number(row.get("cost_mean", nan), 0), value=row.get("cost_mean")),
             WORST: lambda row: Cell(number(row.get("cost_worst", nan), 0), value=row.get("cost_worst")),
             "fail": lambda row: _share(_unsettled(row)),
-            "left": lambda row: Cell(str(row["failures"]["left_workspace"]), value=row["failures"]["left_workspace"]),
+            "left": lambda row: _share(_left(row)),
             "not arrived": lambda row: _share(estimate(row, NOT_ARRIVED).iqm),
         }
         shows |= {heading(name): _estimate(name) for name in PAIRED_METRICS if name != "cost"}
@@ -292,11 +292,15 @@ def _unsettled(row: Record) -> float:
     return row["failures"]["not_settled"] / row["failures"]["runs"]
 
 
+def _left(row: Record) -> float:
+    return row["failures"]["left_workspace"] / (row["seeds"] * row["episodes"])
+
+
 def _tail(row: Record) -> tuple[str, ...]:
     """Mean and worst 5 % of the cost, and how many runs failed, if any."""
-    left, away = row["failures"]["left_workspace"], estimate(row, NOT_ARRIVED).iqm
+    left, away = _left(row), estimate(row, NOT_ARRIVED).iqm
     averages = [number(row.get(key, nan), 0) for key in ("cost_mean", "cost_worst")]
     counts = [f"{_share(_unsettled(row)).text} fail"] if _unsettled(row) else []
-    counts += [f"{left} left"] if left else []
+    counts += [f"{_share(left).text} left"] if left else []
     counts += [f"{_share(away).text} not arrived"] if away > 0 else []
     return (" / ".join(averages), *([", ".join(counts)] if counts else []))

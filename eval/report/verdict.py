@@ -139,11 +139,10 @@ def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, Pa
         if challenger and classical:
             pairs.append((challenger, classical))
     tests = _tested(pairs, metric)
-    adjusted = holm([test.middle.p for test in tests])
-    return {
-        test.split: replace(test, middle=replace(test.middle, p_holm=p))
-        for test, p in zip(tests, adjusted, strict=True)
-    }
+    undecided = [1.0] * (len(comparison.splits()) - len(tests))  # which belong to the family
+    adjusted = holm([*(test.middle.p for test in tests), *undecided])
+    corrected = zip(tests, adjusted, strict=False)
+    return {test.split: replace(test, middle=replace(test.middle, p_holm=p)) for test, p in corrected}
 
 
 def _tested(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[PairwiseTest]:

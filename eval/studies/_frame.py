@@ -100,9 +100,9 @@ def run(study: Any, options: StudyOptions) -> Path:
     name = study.__name__.rpartition(".")[2]
     folder = options.out or Path("results") / name
     require_writable(folder)
-    began = time.perf_counter()
+    about, began = provenance(study.__name__), time.perf_counter()
     measured = study.measure(options)
-    about = provenance(study.__name__, time.perf_counter() - began) | {"options": chosen_options(options)}
+    about |= {"seconds": round(time.perf_counter() - began, 1), "options": chosen_options(options)}
     write_data({"provenance": about, **measured}, folder)
     render(name, study, read_data(folder), folder)
     return folder

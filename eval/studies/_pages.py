@@ -150,8 +150,11 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
         yield page.name, "is measured"
         if subprocess.run([sys.executable, *page.command[1:]], cwd=ROOT, check=False).returncode:
             raise ValueError(f"{page.name} could not be measured; the same command goes on from there")
+    if commit() != here:
+        raise ValueError(f"the checkout was at {here} when this began, and is not now: measure again")
     for page in chosen:
+        written = (MEASURED / page.name / page.data).stat().st_mtime  # before all others of this measurement
         for path in sorted((MEASURED / page.name).iterdir()):
-            if path.is_file() and path.name not in page.left_out:
+            if path.is_file() and path.name not in page.left_out and path.stat().st_mtime >= written:
                 shutil.copyfile(path, page.committed / path.name)
         yield page.name, "replaced"

@@ -127,13 +127,17 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Levels at the upper ends of the training ranges, and what the sentences name."""
     levels = _Levels(data)
     names, columns = levels.controllers, (IDEAL, *levels.effects)
-    lost = {name: sum(sum(levels.rows[name, effect]["left"]) for effect in levels.effects) for name in names}
+    lost = {
+        name: levels(name, IDEAL, "left") + sum(sum(levels.rows[name, effect]["left"][1:]) for effect in levels.effects)
+        for name in names
+    }
     return {
         "levels": levels,
         "columns": columns,
         "cheapest": [min(names, key=lambda name: levels(name, effect)) for effect in columns],
         "torques": [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)],
         "lost": {name: count for name, count in lost.items() if count},
+        "runs": data["arms"] * (1 + len(levels.effects) * (len(data["sizes"]) - 1)),
     }
 
 

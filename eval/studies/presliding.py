@@ -182,7 +182,7 @@ def check(model: str, deflection: float, arms: int) -> dict[str, Any]:
         clean, gives = run(shipped_controller(name), arms), run(shipped_controller(name), arms, model, deflection)
         costs[name] = float(np.mean(np.abs(gives.cost - clean.cost)) / np.mean(clean.cost))
         replay = Replay((clean.torque / clean.params[:, COLUMN.torque_limit]).T.astype(np.float32))
-        apart = run(replay, arms, model, deflection).tip_error - run(replay, arms).tip_error
+        apart = run(replay, arms, model, deflection).tip_error - clean.tip_error
         tip = max(tip, float(np.median(np.linalg.norm(apart, axis=2).max(axis=0))))
     return {"tip": tip, "costs": costs}
 

@@ -93,7 +93,7 @@ def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
     metrics = run.metrics()
     errors = np.array(recorder.notes[1:]) - run.in_turn(run.state[:, :, 2])[:-1]
     averages = {metric: run.over_moves(metrics[metric]) for metric in (*COMPARED, *TORQUE_QUALITY)}
-    return Outcome(averages, int((~run.stayed).sum()), float(np.sqrt(np.mean(errors**2))))
+    return Outcome(averages, int((~run.stayed).sum()), float(np.sqrt(np.mean(errors[:, run.stayed] ** 2))))
 
 
 def _torsion(memory: Any) -> Floats:

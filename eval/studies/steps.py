@@ -79,7 +79,8 @@ def _held(title: str, *held: str, remembers: bool = False) -> Step:
 
 def _privileged(moved: Recording | None, model: str = "lumped") -> list[Any]:
     """The oracle that knows the arms of all moves of a recording, and their equations of motion."""
-    assert moved is not None, "the first step has moved them"
+    if moved is None or not moved.stayed.all():
+        raise ValueError("an arm left its workspace in the first step: the arms of its later moves are not known")
     return [PrivilegedController(*arms_of(moved.params.reshape(moved.num_moves, moved.num_arms, -1)), model=model)]
 
 

@@ -1,8 +1,8 @@
 """What makes learning work on this arm: variants of a student's training, trained side by side and scored.
 
 Each variant changes one thing of `train/student.py` (see `runs.py`). All have the same shortened budget of
-simulated samples, over which the learning rate falls to zero. Finished runs are kept in `--runs` and not repeated;
-interrupted ones continue. Beside them are the learning curves of the shipped policies.
+simulated samples, over which the learning rate falls to zero, but for SAC's. Finished runs are kept in `--runs` and not
+repeated; interrupted ones continue. Beside them are the learning curves of the shipped policies.
 """
 
 import shlex

@@ -63,7 +63,7 @@ def ratios(name: str, k: int, bins: int, arms: int) -> dict[str, Any]:
     controllers = {BEST_CLASSICAL: make_base(BEST_CLASSICAL)}
     controllers |= {method: load_controller(*shipped_policies(method=method)) for method in METHODS}
     runs = {method: rollout(controller, arms, **task).metrics() for method, controller in controllers.items()}
-    means = {method: {metric: np.nanmean(run[metric]) for metric in COMPARED} for method, run in runs.items()}
+    means = {method: {metric: run[metric].mean() for metric in COMPARED} for method, run in runs.items()}
     base = means.pop(BEST_CLASSICAL)
     found = {method: {metric: mean[metric] / base[metric] for metric in COMPARED} for method, mean in means.items()}
     return {"low": low / of.unit, "high": high / of.unit, **found}
