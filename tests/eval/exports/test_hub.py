@@ -130,7 +130,7 @@ def test_the_card_claims_no_more_than_the_verdict():
 
 def test_the_reward_is_of_no_more_scenarios_than_a_set_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("eval.exports.scores.rollout", ran := MagicMock())
-    scores_of(POLICY, read_spec(POLICY)[1]["sha256"], written(tmp_path / "many.json", 300))
+    scores_of(POLICY, published()["provenance"]["policies"][0], written(tmp_path / "many.json", 300))
     assert ran.call_args.args[1] == len(ran.call_args.kwargs["seed"]) == 200
 
 
