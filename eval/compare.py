@@ -52,8 +52,8 @@ class Config(SideBySide):
 
     methods: tuple[str, ...] = ()
     """The project's own methods that run, by name; those of --add and --policy always run. Default: all shipped
-    policies, the oracle, and the classical controllers, without those that a simpler one beat on single moves
-    (docs/science/controllers.md)."""
+    policies, the oracle, and the classical controllers, without those that one no more complex beat on single
+    moves (docs/science/controllers.md)."""
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
     policy: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

@@ -1,8 +1,8 @@
 """Watch arms side by side: `python eval/watch.py --controller paper --controller adaptive --policy runs/ppo/best`.
 
-All arms run the same scenario, from the set that the comparison uses by default, or from a fresh one. Below each
-picture are the tip's error and the torque over time. Shows a window until it is closed, or writes a film: `--out
-motion.gif`, or `--out motion.mp4`, which needs the extra `video`.
+All arms run one scenario (of a shift, the last move with a part), from the set that the comparison uses by default,
+or from a fresh one. Below each picture are the tip's error and the torque over time. Shows a window until it is closed,
+or writes a film: `--out motion.gif`, or `--out motion.mp4`, which needs the extra `video`.
 """
 
 import sys

@@ -1,8 +1,8 @@
 """Train a residual policy with PPO, proximal policy optimisation: `python train/ppo.py`.
 
 A run writes one folder: `best/` (the policy with the lowest validation cost), `last/`, `validation.csv`, `config.json`,
-the training log (CSV and TensorBoard), and `checkpoint.pkl`, from which `--resume` continues. The checkpoint is a
-pickle, for this machine only. Share `best/`, which holds only numbers and text.
+`command.json`, the training log (CSV and TensorBoard), and `checkpoint.pkl`, from which `--resume` continues. The
+checkpoint is a pickle, for this machine only. Share `best/`, which holds only numbers and text.
 
 The model is in `agents/learners/ppo.py`. On a base that leaves little to find, a teacher's advice comes first:
 `python train/ppo.py --base adaptive --moves 4 --teacher-rounds 10`.

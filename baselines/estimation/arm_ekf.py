@@ -9,8 +9,8 @@ The process noise is a torque at the motor, a torsional acceleration, a slow ran
 decays. The encoder's rounding to counts of q counts as white noise of variance q^2 / 12. While the motor sticks, its
 torque is four times as noisy: where it slips and how stiff its spring is are known least. (With as much noise as of one
 that slides, `adaptive` costs some 3 % more on motors that stick without giving; with less, its motor hunts at rest.)
-All constants but g stay as they are then, and so does what is known of them: their rows of the gain are zero, as in
-Schmidt's filter. So what was learnt in a move is not lost at rest.
+The encoder changes no constant but g then, nor what is known of them: their rows of the gain are zero, as in Schmidt's
+filter. So what was learnt in a move is not lost at rest.
 
 At which speed friction falls from breakaway to Coulomb's is not identified. So the torque at the motor has the noise
 

@@ -11,8 +11,9 @@
 
 The weights r, s and p are between 0 and 1 and move linearly, so that nothing jumps where the guard decides; the command
 changes by no more than the slew limit in a sample. It goes down at once, and back after a while of good behaviour,
-which doubles with every fall; not from level 3, which lasts for the rest of the move: no loop that is closed around an
-encoder that lies is safe. Where there is no servo, the base keeps the motor: level 2 is then without residual alone.
+which doubles with every fall from level 0; not from level 3, which lasts for the rest of the move: no loop that is
+closed around an encoder that lies is safe. Where there is no servo, the base keeps the motor: level 2 is then without
+residual alone.
 
 While a single sample is not plausible, or its torque is no number, the last command is held.
 """

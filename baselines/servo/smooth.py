@@ -7,8 +7,9 @@ The reference is an S-curve: ramps of the speed with the shape 3u^2 - 2u^3, whos
 
 which is zero first at tan x = x, x = 4.493: a ramp of 1.43 periods leaves the mode at rest, one of a longer time leaves
 8.6 % at most. So each ramp gets at least that many periods of the mode with the motor held, as it is at the start for
-the ramp up and at the goal for the ramp down. Ramps are not shorter than the task's, and both together not longer than
-the move. Against the task's trapezoid the S-curve lags at first and leads at last, which counts as tip error.
+the ramp up and at the goal for the ramp down. Ramps are not shorter than the task's, unless both together would then
+be longer than the move. Against the task's trapezoid the S-curve lags at first and leads at last, which counts as tip
+error.
 """
 
 from __future__ import annotations

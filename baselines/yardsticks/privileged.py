@@ -35,7 +35,7 @@ class PrivilegedMemory:
 
     cache: PlanCache
     arms: Floats  # states of arms and drives, as `ArmSimulation` has them
-    number: Integers  # of each arm's move in its episode, shape (n,)
+    number: Integers  # of each arm's move in the one episode that it is made for, shape (n,)
 
 
 class PrivilegedController(ClassicalController[PrivilegedMemory]):

@@ -1,6 +1,6 @@
 """A controller of one's own, for `eval/compare.py --add docs/examples/my_controller.py:MyController`.
 
-While it is worked on, with `--scenarios development`.
+While you work on it, add `--scenarios development`.
 
 Feedforward of the nominal arm's torque along the reference, Coulomb friction included, and feedback of the motor. There
 is nothing in it about the belt: it is a place to begin.

@@ -35,7 +35,7 @@ import numpy as np
 
 from beltarm_env.rollout import rollout
 
-ARM = ArmParams()  # the data sheet
+ARM = ArmParams()  # the paper's arm
 
 
 class Pid:

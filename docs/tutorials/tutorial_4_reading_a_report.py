@@ -86,8 +86,8 @@ print(f"by itself: {pair.verdict}, p = {pair.p:.3f}")
 # Many comparisons
 # ----------------
 # A report compares many pairs. Among twenty comparisons of methods that are alike, one looks
-# significant by chance. Holm's correction raises the p values by their number. A difference is
-# *shown* if its corrected p value is below 0.05:
+# significant by chance. Holm's correction multiplies the smallest p value by their number, the next
+# by one less, and so on. A difference is *shown* if its corrected p value is below 0.05:
 
 p_values = [pair.p, 0.02, 0.04, 0.3]  # the last three are made up
 for p, corrected in zip(p_values, holm(p_values), strict=True):
