@@ -38,7 +38,7 @@ def record_scenes(
         titles[split, scenario] = f"{before}; {title}" if before else title
     notable = [Scene(title, *place) for place, title in titles.items()]
     first = [comparison.on(split)[0] for split in comparison.splits()]
-    traces = [Scene(f"median scenario of {one.name}", one.split, _median(one, "tip_rms_mm")) for one in first]
+    traces = [Scene(f"median of {one.name}", one.split, _median(one, "tip_rms_mm")) for one in first]
     recorded, failures = record([*notable, *traces], comparison, splits, _shown(comparison), jobs)
     shown = [scene for scene in recorded[: len(notable)] if scene.motions]
     traced = [scene for scene in recorded[len(notable) :] if scene.motions]
