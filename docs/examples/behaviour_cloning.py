@@ -73,7 +73,10 @@ def main(name: str = "adaptive", dataset_id: str = "beltarm/randomized/mixed-v0"
     os.environ.setdefault("MINARI_DATASETS_PATH", "results/datasets")
     torch.manual_seed(0)
     dataset = minari.load_dataset(dataset_id)
-    told = [one for one in dataset.storage.get_episode_metadata(dataset.episode_indices) if one["controller"] == name]
+    every = list(dataset.storage.get_episode_metadata(dataset.episode_indices))
+    told = [one for one in every if one["controller"] == name]
+    if not told:
+        sys.exit(f"no episode of {name!r}, only of {', '.join(sorted({one['controller'] for one in every}))}")
     clone = fit(list(dataset.iterate_episodes([one["id"] for one in told])))
     env = dataset.recover_environment(eval_env=True)
     found = {f"{name} in the dataset": -np.mean([one["cost"] for one in told if one["disturbance"] == "none"])}
