@@ -89,7 +89,7 @@ class Entry:
     text: str
     returns: str
     result: Any  # as `made`
-    globals: dict[tuple[str, str], str]  # module, name: value that is in the text, see `shown_value`
+    read: dict[tuple[str, str], Any] | None  # names of modules, with what they stood for; None: not all is told
 
 
 def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: bool = False) -> Entry:
@@ -132,7 +132,7 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: 
         *program.texts,
         "\n".join([head, *(f"    {line}" for line in body), "}"]),
     ]
-    return Entry("\n\n".join(filter(None, parts)) + "\n", given.code, result, program.globals)
+    return Entry("\n\n".join(filter(None, parts)) + "\n", given.code, result, program.read if program.told else None)
 
 
 @dataclass

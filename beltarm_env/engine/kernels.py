@@ -207,7 +207,7 @@ class Kernel:
         try:
             types = types_of(arguments)
         except TranslationError as error:
-            self._refuse(type(arguments), error)
+            self._refuse(tuple(map(type, arguments)), error)
             return None
         if types in self._refused:
             return None

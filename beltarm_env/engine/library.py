@@ -3,11 +3,10 @@
 A kernel's object lies under the hash of its whole C text, the flags, the compiler and the level of the processor (see
 `building`). What is not in the text cannot matter, so an object is never that of an older state of the sources.
 
-To translate takes longer than to look up. For kernels of this project a note says which object a call's types need. It
-lies under the hash of the sources of all of the project's packages: after any edit kernels are translated anew, and
-compiled anew only where their text has changed. It also has the values of globals that the text was made with, for a
-program may have set them anew. Kernels of others are translated in each process. Objects that were built beforehand
-come first (see `shipped`).
+To translate takes longer than to look up. So a note says which object a call's types need. It names all functions and
+values of modules that the text was made of, with a hash of each function's code, and holds only where the process has
+loaded the same: after an edit, what it concerns is translated anew. A kernel of which not all can be told, such as a
+closure, is translated in each process. Objects that were built beforehand come first (see `shipped`).
 """
 
 from __future__ import annotations
@@ -24,16 +23,13 @@ from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 from beltarm_env.engine import building, shipped
-from beltarm_env.engine.entries import SYMBOL, entry_of, made
-from beltarm_env.engine.translation.types import shown_value
+from beltarm_env.engine.entries import SYMBOL, Entry, entry_of, made
+from beltarm_env.engine.translation.known import named, shown
 from beltarm_env.sources import sources_digest
 
-_PROJECT = ("beltarm_env", "baselines", "agents")
-"""Packages whose sources decide about their kernels: what these read of files is no part of a kernel."""
 ANNOUNCEMENT = "beltarm: compiling kernels, which takes some seconds"
 _OLD = 30 * 24 * 3600.0  # s
 _OWN = re.compile(r"\w+\.[0-9a-f]{32}\.(so|dll|c|lock)|[0-9a-f]{16}/[0-9a-f]+\.json")  # files in the cache folder
@@ -59,9 +55,8 @@ def compiled(
         announce()
         entry = entry_of(function, arguments, checked)
         path = building.build(entry.text, function.__name__.strip("_"))
-        read = [[*place, value] for place, value in entry.globals.items()]
-        found = {"object": path.name, "returns": entry.returns, "result": as_data(entry.result), "globals": read}
-        _write(note, found)
+        found = note_for(entry, path.name)
+        _write(note if entry.read is not None else None, found)
     address = ctypes.cast(getattr(building.load(path), SYMBOL), ctypes.c_void_p).value
     assert address is not None
     result = _from_data(found["result"])
@@ -76,30 +71,27 @@ def announce() -> None:
 
 
 def words_of(function: Callable[..., Any], types: Types, checked: bool) -> list[Any] | None:
-    """Words for a kernel and types; None of one whose text the sources do not decide about."""
+    """Words for a kernel and types; None if they do not tell it from others."""
     spec, constants = types
-    of_constants = [getattr(one, "py_func", one) for one in constants]  # classes, and kernels that are arguments
-    made_of = [function, *of_constants]
-    if not all(isinstance(one, type | FunctionType) and _is_of_a_module(one) for one in made_of):
-        return None
-    packages = {one.__module__.partition(".")[0] for one in made_of} - {"builtins"}
-    if not packages <= set(_PROJECT):
-        return None
-    names = [f"{one.__module__}.{one.__qualname__}" for one in of_constants]
-    highest = max(map(_PROJECT.index, packages))
-    own = getattr(function, "constants", None)
-    return [_PROJECT[highest], function.__module__, function.__qualname__, own, spec, names, checked]
+    names = [shown(one, codes=False) for one in (function, *constants)]
+    return [names, getattr(function, "constants", None), spec, checked] if all(names) else None
 
 
-def _is_of_a_module(made: Any) -> bool:
-    """Tell whether a class or function is what a module says, and does not depend on a call that made it."""
-    return "<" not in made.__qualname__ and not getattr(made, "__closure__", None)
+def note_for(entry: Entry, file: str, codes: bool = True) -> dict[str, Any]:
+    """Write what an object needs to be used, and what it was made of; without codes for all versions of Python."""
+    read = [[*place, shown(value, codes)] for place, value in (entry.read or {}).items()]
+    return {"object": file, "returns": entry.returns, "result": _as_data(entry.result), "read": read}
+
+
+def _holds(note: dict[str, Any], codes: bool) -> bool:
+    """Tell whether modules have what a kernel was made of."""
+    return all(shown(named(module, name), codes) == words for module, name, words in note["read"])
 
 
 def _shipped(words: list[Any] | None) -> tuple[dict[str, Any], Path | None] | tuple[None, None]:
     """Note and object of a kernel that was built beforehand."""
-    built = None if words is None or words[0] != _PROJECT[0] else shipped.kernel(words)
-    if built is None:
+    built = None if words is None else shipped.kernel(words)
+    if built is None or not _holds(built[1], codes=False):
         return None, None
     folder, note = built
     return note, building.found(note["object"], folder / building.level())
@@ -110,30 +102,21 @@ def _note_of(words: list[Any] | None) -> Path | None:
     folder = building.cache_folder()
     if folder is None or words is None:
         return None
-    return folder / _sources(_PROJECT.index(words[0])) / f"{shipped.key_of([*words, building.setting()])}.json"
+    return folder / _translator() / f"{shipped.key_of([*words, building.setting()])}.json"
 
 
 @cache
-def _sources(highest: int) -> str:
-    """Hash of the sources of a package and of those below it."""
-    if highest == 0:
-        return shipped.sources()
-    folders = [Path(str(sys.modules[name].__file__)).parent for name in _PROJECT[: highest + 1]]
-    return sources_digest(*folders)[:16]
+def _translator() -> str:
+    """Hash of what translates."""
+    return sources_digest(Path(__file__).parent)[:16]
 
 
 def _read(note: Path | None) -> dict[str, Any] | None:
     if note is not None:
         with suppress(OSError, ValueError):
             found = json.loads(note.read_text())
-            return found if all(_is_as_read(*place) for place in found["globals"]) else None
+            return found if _holds(found, codes=True) else None
     return None
-
-
-def _is_as_read(module: str, name: str, value: str) -> bool:
-    """Tell whether a module has the value that a kernel was made with: a program may set it anew."""
-    known = sys.modules.get(module)
-    return known is None or shown_value(getattr(known, name, None)) == value
 
 
 def _write(note: Path | None, content: dict[str, Any]) -> None:
@@ -156,13 +139,13 @@ def _drop_old(folder: Path) -> None:
                 path.unlink()
 
 
-def as_data(result: Any) -> Any:
+def _as_data(result: Any) -> Any:
     """Write what a result is made of, with classes by their names."""
     if result is None or result[0] == "array":
         return result
     _, make, parts = result
     name = None if make is None else [make.__module__, make.__qualname__]
-    return ["tuple", name, [as_data(part) for part in parts]]
+    return ["tuple", name, [_as_data(part) for part in parts]]
 
 
 def _from_data(data: Any) -> Any:

@@ -80,14 +80,10 @@ def prebuild(platform: Platform, use: Callable[[], None], out: Path) -> None:
     wanted = [(call, level) for call in calls for level in levels]
     each_in_threads(lambda one: _build_kernel(*one, platform, folder), wanted)
     _build_glue(platform, folder)
-    notes = {shipped.key_of(call.words): _note_of(call, platform) for call in calls}
+    noted = [(one.words, library.note_for(one.entry, _file_of(one, platform), codes=False)) for one in calls]
+    notes = {shipped.key_of(words): note for words, note in noted}
     (folder / "kernels.json").write_text(json.dumps(notes), encoding="utf-8")
     (out / "sources.json").write_text(json.dumps(shipped.source_hashes()), encoding="utf-8")
-
-
-def _note_of(call: Call, platform: Platform) -> dict[str, Any]:
-    entry = call.entry
-    return {"object": _file_of(call, platform), "returns": entry.returns, "result": library.as_data(entry.result)}
 
 
 def _file_of(call: Call, platform: Platform) -> str:
@@ -133,8 +129,10 @@ def calls_of(use: Callable[[], None]) -> list[Call]:
 
     def noted(function: Callable[..., Any], arguments: tuple[Any, ...], types: library.Types, checked: bool) -> Any:
         words = library.words_of(function, types, checked)
-        if words is not None and words[0] == "beltarm_env":
-            calls.append(Call(words, function.__name__.strip("_"), entry_of(function, arguments, checked)))
+        if words is not None and function.__module__.startswith("beltarm_env."):
+            entry = entry_of(function, arguments, checked)
+            assert entry.read is not None, function.__qualname__
+            calls.append(Call(words, function.__name__.strip("_"), entry))
         return really(function, arguments, types, checked)
 
     library.compiled = noted

@@ -6,6 +6,7 @@ import ast
 import builtins
 import re
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -55,8 +56,9 @@ class Expressions(Scope):
         if node.id in self.assigned:
             raise TranslationError(f"{node.id} is used before it is set")
         if node.id in self.outside:
-            self.program.read(self.source, node.id, self.outside[node.id])
-            return Const(self.outside[node.id], node.id)
+            value, constants = self.outside[node.id], getattr(self.source, "constants", ())
+            self.program.note(self.source.__module__, node.id, value, constants)
+            return Const(value, node.id)
         if hasattr(builtins, node.id):
             return Const(getattr(builtins, node.id), node.id)
         raise TranslationError(f"unknown name {node.id!r}")
@@ -68,8 +70,12 @@ class Expressions(Scope):
                 return Const(owner.value.shape)
             if node.attr in self.overrides:
                 return Const(self.overrides[node.attr], node.attr)
-            prefix = f"{owner.name}_" if is_named_tuple(owner.value) else ""
-            return Const(getattr(owner.value, node.attr), f"{prefix}{node.attr}")
+            value, prefix = getattr(owner.value, node.attr), f"{owner.name}_" if is_named_tuple(owner.value) else ""
+            if isinstance(owner.value, ModuleType):
+                self.program.note(owner.value.__name__, node.attr, value)
+            elif isinstance(owner.value, type):
+                self.program.note(owner.value.__module__, f"{owner.value.__qualname__}.{node.attr}", value)
+            return Const(value, f"{prefix}{node.attr}")
         if isinstance(owner, Array) and node.attr == "shape":
             return Group(None, tuple((f"f{k}", arrays.sized(size)) for k, size in enumerate(owner.shape)))
         if isinstance(owner, Array | Lazy | Scalar):

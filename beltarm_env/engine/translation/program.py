@@ -5,9 +5,8 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import sys
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from beltarm_env.engine.translation import arrays
 from beltarm_env.engine.translation.function import Function, NotReturnableError
+from beltarm_env.engine.translation.known import named, shown
 from beltarm_env.engine.translation.numbers import NUMBERS, bare, cast, dtype_of_number, literal, scalar
 from beltarm_env.engine.translation.reading import assignments, place, placed, tree_of
 from beltarm_env.engine.translation.scope import PREFIX, RESERVED, type_of
@@ -37,7 +37,6 @@ from beltarm_env.engine.translation.types import (
     Value,
     dtype_of,
     key_of,
-    shown_value,
 )
 from beltarm_env.engine.translation.whole import natural, span
 
@@ -58,7 +57,8 @@ class Program:
         self.functions: dict[Any, tuple[str, Any, Any, Const | None]] = {}  # C name, type, span, known value
         self._texts: dict[str, str] = {}  # of functions, by name
         self._roots: set[str] = set()  # functions that none of the others calls
-        self.globals: dict[tuple[str, str], str] = {}  # module, name: the value that was read, see `shown_value`
+        self.read: dict[tuple[str, str], Any] = {}  # module, name: what was read
+        self.told = True  # whether that is all that the program is made of, beside arguments
         self.structs: dict[RecordType, str] = {}
         self.struct_texts: list[str] = []
         self.tables: dict[Any, tuple[str, str]] = {}
@@ -79,11 +79,13 @@ class Program:
             self.struct_texts.append("\n".join(["typedef struct {", *fields, f"}} {name};"]))
         return self.structs[kind]
 
-    def read(self, function: Any, name: str, value: Any) -> None:
-        """Note that a function read a value of its module; not one that a copy of the function has instead."""
-        module = sys.modules.get(getattr(function, "__module__", ""))
-        if getattr(module, name, self) is value and shown_value(value):
-            self.globals[function.__module__, name] = shown_value(value)
+    def note(self, module: str, name: str, value: Any, constants: Collection[str] = ()) -> None:
+        """Note what a name of a module stood for, unless it is one of the constants that the kernel has instead."""
+        words = shown(value)
+        if words and words == shown(named(module, name)):
+            self.read[module, name] = value
+        elif name not in constants:
+            self.told = False
 
     def table(self, values: np.ndarray, name: str) -> Array:
         """Put a known array into the program, once."""
@@ -206,7 +208,7 @@ class Program:
     def _specialised(
         self, function: Callable[..., Any], kinds: tuple[Any, ...], values: list[Value], memory: dict[str, int]
     ) -> tuple[str, Any, Any, Const | None]:
-        tree = tree_of(function)
+        tree = self._tree(function)
         remembered: dict[str, Any] = {}
         negative: set[str] = set()
         returned: Any = None
@@ -233,6 +235,10 @@ class Program:
             self._written[text] = self._free(name)
             self._texts[self._written[text]] = text.replace(f"{name}(", f"{self._written[text]}(", 1)
         return self._written[text], body.returned, body.span, body.known
+
+    def _tree(self, function: Callable[..., Any]) -> ast.FunctionDef:
+        self.note(function.__module__, function.__qualname__, function)
+        return tree_of(function)
 
     def _body(self, function: Callable[..., Any], tree: ast.FunctionDef, kinds: dict[str, Any]) -> Function:
         closure = inspect.getclosurevars(function)
@@ -292,7 +298,7 @@ class Program:
 
     def _written_out(self, caller: Statements, function: Callable[..., Any], values: list[Value]) -> Value:
         """Translate a function whose last statement alone returns, in the place of its call."""
-        tree = tree_of(function)
+        tree = self._tree(function)
         body, last = tree.body[:-1], tree.body[-1]
         returns = [node for node in ast.walk(tree) if isinstance(node, ast.Return)]
         if len(returns) != 1 or not isinstance(last, ast.Return) or last.value is None:

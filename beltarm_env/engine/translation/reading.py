@@ -8,8 +8,10 @@ import textwrap
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
+from beltarm_env.engine.translation.known import made_of
 from beltarm_env.engine.translation.types import TranslationError
 
 
@@ -18,19 +20,43 @@ def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
     """Parse a kernel.
 
     Raises:
-        TranslationError: If it has no source text, or takes any number of arguments.
+        TranslationError: If it has no source text, or one that was edited after it was loaded, or takes any number of
+            arguments.
     """
-    try:
-        source = textwrap.dedent(inspect.getsource(function))
-    except OSError:
-        raise TranslationError(f"{function.__name__} has no source text that could be translated") from None
     if inspect.unwrap(function).__code__ is not function.__code__:
         raise TranslationError(f"{place(function)} is wrapped by a decorator, which would be left out")
+    try:
+        source, loaded = textwrap.dedent(inspect.getsource(function)), _is_loaded(function)
+    except OSError:
+        raise TranslationError(f"{function.__name__} has no source text that could be translated") from None
+    if not loaded:
+        raise TranslationError(f"{place(function)} was edited after it was loaded: start Python anew")
     tree = ast.parse(source).body[0]
     if not isinstance(tree, ast.FunctionDef) or tree.args.vararg or tree.args.kwarg:
         raise TranslationError(f"{place(function)} is not a plain function")
     tree.args.args = [*tree.args.posonlyargs, *tree.args.args, *tree.args.kwonlyargs]
     return tree
+
+
+def _is_loaded(function: Callable[..., Any]) -> bool:
+    """Tell whether a function's file says what its code does; where lines have moved, its text is another one's."""
+    code, codes = function.__code__, _codes_of("".join(inspect.findsource(function)[0]))
+    return any(made_of(one) == made_of(code) for one in codes.get((code.co_name, code.co_firstlineno), ()))
+
+
+@cache
+def _codes_of(text: str) -> dict[tuple[str, int], list[CodeType]]:
+    """Compile a file; return the codes in it by name and line."""
+    found: dict[tuple[str, int], list[CodeType]] = {}
+    try:  # with `await` outside functions, as cells of a notebook may have it
+        codes = [compile(text, "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT, dont_inherit=True)]
+    except SyntaxError:  # somebody edits it
+        return found
+    for code in codes:
+        inner = [one for one in code.co_consts if isinstance(one, CodeType)]
+        codes += inner
+        found.setdefault((code.co_name, code.co_firstlineno), []).append(code)
+    return found
 
 
 @cache

@@ -10,7 +10,6 @@ Lazy       elements of an expression over arrays, computed one by one where it i
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -252,17 +251,6 @@ def parts_of(value: Value) -> list[Value]:
 
 def _member(code: str, kind: Any) -> Value:
     return Record(kind, code) if isinstance(kind, RecordType) else Scalar(kind, code)
-
-
-def shown_value(value: Any) -> str:
-    """Write a known number, word or array, or a tuple of these, so that two values differ in it; else nothing."""
-    if value is None or isinstance(value, str | int | float | bool | np.generic):
-        return repr(value)
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
-    if isinstance(value, tuple):
-        return f"({', '.join(map(shown_value, value))})"
-    return ""
 
 
 def key_of(value: Any) -> Any:

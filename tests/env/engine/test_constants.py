@@ -47,7 +47,10 @@ def test_a_note_is_found_again_unless_a_value_that_the_kernel_was_made_with_is_a
     kernel(*given)
     words = library.words_of(kernel.py_func, types_of(given), False)
     found = library._read(library._note_of(words))
-    assert found is not None and found["globals"]
-    module, name, _ = found["globals"][0]
-    monkeypatch.setattr(f"{module}.{name}", 12345)
-    assert library._read(library._note_of(words)) is None
+    assert found is not None
+    assert {"tip_errors", "tip_motion", "CONTROL_PERIOD"} <= {name for _, name, _ in found["read"]}
+    for module, name in {(module, name) for module, name, _ in found["read"] if "." not in name}:
+        with monkeypatch.context() as patch:
+            patch.setattr(f"{module}.{name}", 12345)
+            assert library._read(library._note_of(words)) is None
+    assert library._read(library._note_of(words)) == found

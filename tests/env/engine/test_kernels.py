@@ -1,10 +1,12 @@
 """Kernels run as C what they say in Python, are never run in an old form, and run in plain Python where C cannot be."""
 
 import copy
+import importlib
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -254,6 +256,31 @@ def test_what_cannot_be_translated_runs_in_python_and_a_line_says_so(
     assert bound(kernel, arguments[:1], *arguments[1:])(*arguments[1:]) == wanted
     (line,) = told(capsys)
     assert all(word in line for word in words), line
+
+
+def test_each_kind_of_arguments_that_a_kernel_does_not_take_is_named(capsys: pytest.CaptureFixture[str]):
+    law = kernel_of(product_less)
+    assert [law(1.0, 2j), law(2, np.float32(3)), law(1.0, 2j)] == [2j - 1.0, 4, 2j - 1.0]
+    assert len(told(capsys)) == 2
+
+
+LAWS = {"one": "2.0 * x", "two": "x**3"}
+
+
+def test_another_text_than_that_of_what_is_loaded_does_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Three lines on top of the file put one function where the other one was."""
+    text = "from beltarm_env.engine import compiled\n"
+    text += "".join(f"@compiled\ndef {name}(x):\n    return {law}\n" for name, law in LAWS.items())
+    (tmp_path / "moved.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    moved: Any = importlib.import_module("moved")
+    for edited, x in ((f"\n\n\n{text}", 3.0), (text.replace("x**3", "4.0 * x"), 3)):
+        (tmp_path / "moved.py").write_text(edited)
+        assert moved.two(x) == 27
+        assert ["edited" in line for line in told(capsys)] == [True]
+    assert importlib.reload(moved).two(3.0) == 12.0 and told(capsys) == []
 
 
 @pytest.mark.parametrize("obstacle", ["compiler", "folder", "compiler folder glue"])
