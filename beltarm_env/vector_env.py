@@ -45,7 +45,6 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
 
     num_envs: Any = fixed("num_envs")
     num_threads: Any = fixed("num_threads")
-    max_episode_steps: Any = fixed("max_episode_steps")
     autoreset_mode: Any = fixed("autoreset_mode")
 
     _renderers: list[Any] | None = None  # known to one whose arguments are refused, too: Gymnasium closes it
