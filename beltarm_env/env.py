@@ -256,6 +256,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             self._batch.next_moves(_ARM, self.np_random.random((1, DRAWS)))
             self._batch.observe(result.reshape(1, -1))
             self._move_ends += EPISODE_STEPS
+            if self._renderer is not None:
+                self._renderer.clear()
             self._step_arm = None  # its drift may be the first effect of an ideal drive, or was the last of a real one
         return dict(zip(MOVE_TOTALS, totals, strict=True))
 

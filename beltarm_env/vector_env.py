@@ -153,6 +153,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         self._streams = streams
         self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
+        self._forget_traces(arms)
         result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result)
         return result, {}
@@ -225,6 +226,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             arms = going_on[low : low + AT_ONCE]
             batch.next_moves(arms, drawn(self._streams, arms, DRAWS))
             batch.observe(result, arms)
+        self._forget_traces(going_on)
         return totals, ended
 
     def _finished(
@@ -254,6 +256,13 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         assert self._streams is not None, "there was a reset"
         self._batch.restart(arms, self._streams)
         self._batch.observe(result, arms)
+        self._forget_traces(arms)
+
+    def _forget_traces(self, arms: Integers) -> None:
+        """Clear the pictures of arms that begin a move."""
+        if self._renderers is not None:
+            for arm in arms:
+                self._renderers[arm].clear()
 
     def _seeded(self, seed: int | Sequence[int | None] | None, arms: Integers) -> Streams:
         """Return the streams of all arms, with those of some seeded."""
