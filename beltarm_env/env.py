@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, cast
 
@@ -210,8 +211,14 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             ValueError: On an unknown name or a value out of range.
             TypeError: If a value is not a number.
         """
+        before = None if options is None else copy.deepcopy((self._np_random, self._np_random_seed))
         super().reset(seed=seed)
-        self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
+        try:
+            self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
+        except Exception:
+            if before is not None:
+                self._np_random, self._np_random_seed = before  # what was refused has drawn nothing
+            raise
         self._ready = self._running = True
         self._step_arm, self._move_ends = None, float(EPISODE_STEPS)
         result = np.empty((1, self._size), np.float32)

@@ -255,11 +255,11 @@ class TestArguments:
         def told(env: Any) -> tuple[int | None, int]:
             return EnvSpec.from_json(env.spec.to_json()).max_episode_steps, env.unwrapped.max_episode_steps
 
-        single: Any = gym.make(name)
-        for made in (single, gym.make_vec(name, num_envs=2)):
+        both: list[Any] = [gym.make(name), gym.make_vec(name, num_envs=2)]
+        for made in both:
             assert told(made) == (None, EPISODE_STEPS)
             assert told(gym.make_vec(made.spec, moves=3)) == (None, 3 * EPISODE_STEPS)
-        assert told(gym.make(single.spec, moves=3)) == (None, 3 * EPISODE_STEPS)
+        assert told(gym.make(both[0].spec, moves=3)) == (None, 3 * EPISODE_STEPS)
         assert told(gym.make(name, max_episode_steps=7)) == (7, EPISODE_STEPS), "Gymnasium's wrapper ends the episode"
         assert told(gym.make_vec(name, num_envs=2, max_episode_steps=7)) == (7, 7)
 
