@@ -119,7 +119,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     tells these where an episode ends. With the last step of each move: `move_cost`, `move_tip_error_rms` and
     `move_tip_error_max` [m], `move_vibration` [m], the peak-to-peak tip error after the move's end along x or y,
     whichever is larger (in a comparison, of both together less the trend), and `move_still_time` [s], from the move's
-    end until the tip error stays within 0.5 mm.
+    end until the tip error stays within 0.5 mm, or all that is left of the move.
 
     ## Arguments
 
