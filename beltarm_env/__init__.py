@@ -63,7 +63,7 @@ def __getattr__(name: str) -> Any:
 
 # The environments truncate, refuse to step before reset, and keep Gymnasium's rules (its checker is among the tests) by
 # themselves: no wrapper has to see to it at every step. Nor is a number of steps registered, for it depends on `moves`:
-# the spec of an environment that was made tells it.
+# `max_episode_steps` of an environment that was made tells it.
 _REGISTERED: dict[str, Any] = {
     "entry_point": "beltarm_env.env:BeltArmEnv",
     "vector_entry_point": "beltarm_env.vector_env:BeltArmVectorEnv",

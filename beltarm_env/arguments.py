@@ -35,10 +35,10 @@ class Arguments:
     delay: Any = fixed("delay")
     num_moves: Any = fixed("num_moves", "moves")
     moves: Any = num_moves  # the argument's name: to set it is refused, too
+    max_episode_steps: Any = fixed("max_episode_steps")  # after which an episode of the environment itself is truncated
     render_mode: Any = fixed("render_mode")
 
     _spec: EnvSpec | None = None
-    _max_episode_steps: int
 
     def _hold(self, *, randomization: Any, encoder_counts: Any, moves: Any, render_mode: Any, **words: Any) -> None:
         """Keep arguments that were checked, as plain Python objects."""
@@ -60,7 +60,7 @@ class Arguments:
         if given is not None:
             given = copy.copy(given)
             given.kwargs = {name: self._held(name, value) for name, value in given.kwargs.items()}
-            given.max_episode_steps = self._max_episode_steps
+            given.max_episode_steps = given.kwargs.get("max_episode_steps", given.max_episode_steps)  # of a batch
         self._spec = given
 
     def _held(self, name: str, value: object) -> object:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, cast
 
@@ -118,7 +119,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     tells these where an episode ends. With the last step of each move: `move_cost`, `move_tip_error_rms` and
     `move_tip_error_max` [m], `move_vibration` [m], the peak-to-peak tip error after the move's end along x or y,
     whichever is larger (in a comparison, of both together less the trend), and `move_still_time` [s], from the move's
-    end until the tip error stays within 0.5 mm.
+    end until the tip error stays within 0.5 mm, or all that is left of the move.
 
     ## Arguments
 
@@ -210,8 +211,14 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             ValueError: On an unknown name or a value out of range.
             TypeError: If a value is not a number.
         """
+        before = None if options is None else copy.deepcopy((self._np_random, self._np_random_seed))
         super().reset(seed=seed)
-        self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
+        try:
+            self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
+        except Exception:
+            if before is not None:
+                self._np_random, self._np_random_seed = before  # what was refused has drawn nothing
+            raise
         self._ready = self._running = True
         self._step_arm, self._move_ends = None, float(EPISODE_STEPS)
         result = np.empty((1, self._size), np.float32)
@@ -256,6 +263,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             self._batch.next_moves(_ARM, self.np_random.random((1, DRAWS)))
             self._batch.observe(result.reshape(1, -1))
             self._move_ends += EPISODE_STEPS
+            if self._renderer is not None:
+                self._renderer.clear()
             self._step_arm = None  # its drift may be the first effect of an ideal drive, or was the last of a real one
         return dict(zip(MOVE_TOTALS, totals, strict=True))
 

@@ -19,7 +19,7 @@ SETTLING_BAND = 0.001
 ARRIVAL_BOUND = 0.015
 """Mean error of the tip after the move, in which vibration averages out, up to which an arm has arrived [m].
 
-The shortest moves, 15 degrees from an end of the workspace, take the tip 20 mm far: an arm that stays never arrives."""
+The shortest moves, 15 degrees from an end of the workspace, take the tip 17 mm far: an arm that stays never arrives."""
 REVERSAL_SWING = 0.1
 """Swing of the torque through zero that counts as a reversal, over the torque limit."""
 
@@ -182,7 +182,7 @@ def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
 def settling_time(tip_error: Floats) -> Floats:
     """Compute the time from the move's start until the tip stays within the band for good [s]; inf for never.
 
-    The band holds for both axes; shape (n,).
+    The band holds for both axes; an arm that never leaves it takes one sample. Shape (n,).
     """
     outside = np.any(np.abs(tip_error) > SETTLING_BAND, axis=2)
     steps = len(outside)

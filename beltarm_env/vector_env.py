@@ -35,6 +35,10 @@ from beltarm_env.timing import EPISODE_STEPS
 _NONE = np.empty(0, dtype=np.intp)
 
 
+def _no_generator(*_: object) -> None:
+    raise AttributeError("arms of a batch draw from streams of their own, no np_random: reset(seed=...) seeds them")
+
+
 class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """`num_envs` belt arms stepped by one compiled loop; arm *i* behaves bit for bit as a `BeltArmEnv` of its own.
 
@@ -45,8 +49,9 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
 
     num_envs: Any = fixed("num_envs")
     num_threads: Any = fixed("num_threads")
-    max_episode_steps: Any = fixed("max_episode_steps")
     autoreset_mode: Any = fixed("autoreset_mode")
+
+    np_random: Any = property(_no_generator, _no_generator)
 
     _renderers: list[Any] | None = None  # known to one whose arguments are refused, too: Gymnasium closes it
 
@@ -119,6 +124,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._size = observation.size(sensors)
         self._streams: Streams | None = None  # of random numbers, one per arm, from the first reset on
+        self._seeds: list[int] = []  # that they began with
         self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
         self._stepped = 0.0  # when the last step was done [s]
@@ -146,14 +152,15 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             arms = np.flatnonzero(self._checked_mask(options.pop("reset_mask")))
             if not self._ready:
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
-        streams = self._seeded(seed, arms)
+        streams, seeds = self._seeded(seed, arms)
         if options:
             self._batch.reset(arms, drawn(streams, arms, DRAWS), options)
         else:
             self._batch.restart(arms, streams)  # the same, and needs no memory for the draws
-        self._streams = streams
+        self._streams, self._seeds = streams, seeds
         self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
+        self._forget_traces(arms)
         result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result)
         return result, {}
@@ -226,6 +233,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             arms = going_on[low : low + AT_ONCE]
             batch.next_moves(arms, drawn(self._streams, arms, DRAWS))
             batch.observe(result, arms)
+        self._forget_traces(going_on)
         return totals, ended
 
     def _finished(
@@ -255,23 +263,39 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         assert self._streams is not None, "there was a reset"
         self._batch.restart(arms, self._streams)
         self._batch.observe(result, arms)
+        self._forget_traces(arms)
 
-    def _seeded(self, seed: int | Sequence[int | None] | None, arms: Integers) -> Streams:
-        """Return the streams of all arms, with those of some seeded."""
-        if seed is None or isinstance(seed, int | np.integer):
-            super().reset(seed=None if seed is None else int(seed))
-            seeds = [None if seed is None else int(seed) + arm for arm in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}")
+    def _forget_traces(self, arms: Integers) -> None:
+        """Clear the pictures of arms that begin a move."""
+        if self._renderers is not None:
+            for arm in arms:
+                self._renderers[arm].clear()
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Seed that each arm's stream of random numbers began with."""
         if self._streams is None:
-            streams = seeded(self.np_random.integers(2**63, size=self.num_envs).tolist())
+            self._streams, self._seeds = self._seeded(None, _NONE)
+        return tuple(self._seeds)
+
+    def _seeded(self, seed: int | Sequence[int | None] | None, arms: Integers) -> tuple[Streams, list[int]]:
+        """Return the streams of all arms, with those of some seeded, and the seeds that they began with."""
+        if seed is None or isinstance(seed, int | np.integer):
+            given = [None if seed is None else checked_seed(seed) + arm for arm in range(self.num_envs)]
         else:
-            streams = self._streams.copy()
-        own = {int(arm): checked_seed(seeds[arm]) for arm in arms if seeds[arm] is not None}
+            given = list(seed)
+            if len(given) != self.num_envs:
+                raise ValueError(f"seed must be one number or {self.num_envs} of them, got {len(given)}")
+        if self._streams is None:
+            seeds: list[int] = np.random.default_rng().integers(2**63, size=self.num_envs).tolist()
+            streams = seeded(seeds)
+        else:
+            seeds, streams = self._seeds.copy(), self._streams.copy()
+        own = {int(arm): checked_seed(given[arm]) for arm in arms if given[arm] is not None}
         streams[list(own)] = seeded(list(own.values()))
-        return streams
+        for arm, number in own.items():
+            seeds[arm] = number
+        return streams, seeds
 
     def _checked_mask(self, mask: object) -> Flags:
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):

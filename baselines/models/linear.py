@@ -21,7 +21,7 @@ ANGLES = np.linspace(0.0, np.pi / 2, 46)
 class LinearArm(NamedTuple):
     """Linear models x[k+1] = A x[k] + b tau_m + e alpha of an arm at each of `ANGLES`, Coulomb friction left out.
 
-    See `beltarm_env.physics.linear.sample_models`.
+    See `beltarm_env.physics.linear.write_sampled_models`.
     """
 
     transition: Floats  # A, shape (46, 4, 4)

@@ -90,6 +90,8 @@ def next_moves(
         _close_move(block, j)
         loaded = block[at.EARLIER * LANES + j] % (2 * EPISODE_STEPS) == 0.0
         level = float(block[at.FRICTION_LEVEL * LANES + j])
+        if not built[arms[i]]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
+            block[at.TORQUE * LANES + j] = block[at.ACTION * LANES + j] * table[arms[i], COLUMN.torque_limit]
         block[at.FRICTION_LEVEL * LANES + j] = change_row(table[arms[i]], drawn[i], level, loaded)
         now = begin_move(block, j, moves[i], table[arms[i]], model)
         more += int(now) - int(built[arms[i]])

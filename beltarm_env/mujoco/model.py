@@ -141,7 +141,7 @@ def _distribute_masses(spec: MjSpec, params: ArmParams) -> None:
     """Give the bodies the inertia that with a rigid belt is G^2 M_a1 + M2(0) + (S + 4 l^2 m_p) sin^2(phi)."""
     l2, m0, s = params.link_length**2, params.arm_inertia, params.arm_inertia_swing
     motor = params.gear_ratio**2 * params.motor_inertia
-    rod = max(min(s / 2, 3 * m0), _LEAST_ROD * m0) / l2
+    rod = max(params.plant().link_inertia, _LEAST_ROD * m0) / l2
     _make_rod(spec, "link_2", rod, params.link_length)
     spec.body("pulley").inertia = np.array([0.5, 0.5, 1]) * max(m0 - rod * l2 / 3, 0.0)
     spec.body("load").mass = max(s / (4 * l2) - rod / 2, 0.0) + params.payload_mass

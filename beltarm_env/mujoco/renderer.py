@@ -85,7 +85,7 @@ class MuJoCoRenderer:
         self._renderer = self._params = self._data = None
 
     def clear(self) -> None:
-        """Begin a new episode."""
+        """Begin a new move."""
         if self._window is not None:
             self._window.restart()
 

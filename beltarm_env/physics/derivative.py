@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
-from beltarm_env.physics.drive import Drive, built_drive
+from beltarm_env.physics.drive import SMALLEST_DEFLECTION, Drive, built_drive
 from beltarm_env.physics.models import Model, accelerations, model_of, sliding_direction
 from beltarm_env.physics.state import ArmState
 
@@ -52,7 +52,7 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
         ValueError: If x has another shape, the model is unknown, or the motor gives before it slips.
     """
     equations = model_of(model)
-    if params.presliding_deflection > 0:
+    if params.presliding_deflection >= SMALLEST_DEFLECTION:
         given = f"presliding_deflection={params.presliding_deflection:g}"
         raise ValueError(
             f"x does not tell the slope with {given}: set it to 0, or take beltarm_env.simulation.ArmSimulation"

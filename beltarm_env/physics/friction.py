@@ -1,7 +1,7 @@
 """Dry friction of the motor: its modes, its torque in each, and where they end.
 
 Friction is set-valued. `direction` says which mode the motor is in: it slides backward (-1) or forward (+1), or it
-sticks (0). With the pull d, the torque that pulls at the motor at standstill (`models.driving_torque`):
+sticks (0). With the pull d, the torque that pulls at the motor at standstill (`models.driving_torque_at`):
 
     sliding     tau_f = direction tau_c                        until the speed reaches 0
     sticking    tau_f = d, whatever it takes                   until |d| exceeds the breakaway torque tau_c

@@ -115,7 +115,7 @@ def contained(state: ArmState, plant: Plant) -> ArmState:
 
 @inlined
 def outside_workspace(state: ArmState, plant: Plant) -> bool:
-    """Tell whether the joint angle theta_1 or the arm angle phi lies outside the workspace (or is not a number)."""
+    """Tell whether theta_a / G or the arm angle phi lies outside the workspace (or is not a number)."""
     joint = state.motor_angle * plant.inverse_gear
     arm = joint - state.torsion
     return not ((joint >= LOWEST) & (joint <= HIGHEST) & (arm >= LOWEST) & (arm <= HIGHEST))

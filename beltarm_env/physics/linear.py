@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
+from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.engine import compiled
-from beltarm_env.physics.models import LUMPED, Model, inverse_inertia, model_of
+from beltarm_env.physics.lumped import carried_inertia
+from beltarm_env.physics.models import LUMPED, Model, inverse_inertia, model_of, torsional_mobility
 from beltarm_env.physics.trigonometry import sine_cosine
 from beltarm_env.timing import SHORTEST_LAG
 
@@ -28,21 +28,15 @@ def _fill(held: Floats, plant: Plant, stiffness: float, cos_phi: float, model: M
     """
     w11, w12, w22 = inverse_inertia(cos_phi, plant, model)
     g, v, k, d = plant.gear, plant.viscous_friction, stiffness, plant.damping
-    by_motor, mutual, by_belt = w11 * g * g, (w11 - w12) * g, w11 - 2 * w12 + w22
+    by_motor, mutual, by_belt = w11 * g * g, (w11 - w12) * g, torsional_mobility(w11, w12, w22)
     held[0, 1] = held[2, 3] = 1.0
     if model is LUMPED:
         held[3, 5] = 1.0
     else:
-        m2 = plant.inertia + plant.inertia_swing * (1 - cos_phi * cos_phi)
+        m2 = carried_inertia(cos_phi, plant)
         held[1, 5], held[3, 5] = -g * w12 * m2, (w22 - w12) * m2
     held[1, 1], held[1, 2], held[1, 3], held[1, 4] = -v * by_motor, -k * mutual, -d * mutual, by_motor
     held[3, 1], held[3, 2], held[3, 3], held[3, 4] = -v * mutual, -k * by_belt, -d * by_belt, mutual
-
-
-@compiled
-def _slack_stiffness(row: Any) -> float:
-    """Return the belt's stiffness about zero torsion, K_s (1 - b) [N m/rad], of an arm's row."""
-    return row[COLUMN.belt_stiffness] * (1 - row[COLUMN.belt_stiffening])
 
 
 @compiled
@@ -87,13 +81,16 @@ def write_sampled_models(
     by_acceleration: Floats,
     model: Model,
 ) -> None:
-    """Write the linear models of one arm from one sample to the next, see `sample_models`.
+    """Write the linear models of one arm behind an ideal drive from one sample to the next, at m joint angles.
+
+    x[k+1] = A x[k] + b tau_m + e alpha with the torque tau_m [N m] and a torsional acceleration alpha [rad/s^2] held
+    over `period`: blocks of the exponential of eq. (6) with the held inputs as further states.
 
     Args:
         plant: Coefficients of the arm.
         stiffness: Of the belt [N m/rad], in place of the plant's.
         angles: theta_1 [rad], shape (m,).
-        period: Between samples [s].
+        period: Between samples [s]; the arm's fastest rate times it has to stay below about 0.2.
         transition: A, shape (m, 4, 4), written.
         by_torque: b, shape (m, 4), written.
         by_acceleration: e, shape (m, 4), written.
@@ -108,29 +105,6 @@ def write_sampled_models(
             for j in range(4):
                 transition[k, i, j] = stepped[i, j]
             by_torque[k, i], by_acceleration[k, i] = stepped[i, 4], stepped[i, 5]
-
-
-@compiled
-def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats, Floats, Floats]:
-    """Compute linear models of n lumped arms behind an ideal drive from one sample to the next, at m joint angles.
-
-    x[k+1] = A x[k] + b tau_m + e alpha with the torque tau_m [N m] and a torsional acceleration alpha [rad/s^2] held
-    over `period`: blocks of the exponential of eq. (6) with the held inputs as further states.
-
-    Args:
-        table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
-        angles: theta_1 [rad], shape (m,).
-        period: Between samples [s]; the arm's fastest rate times it has to stay below about 0.2.
-
-    Returns:
-        A, b and e of shapes (n, m, 4, 4), (n, m, 4) and (n, m, 4).
-    """
-    count, size = len(table), len(angles)
-    a, b, e = np.empty((count, size, 4, 4)), np.empty((count, size, 4)), np.empty((count, size, 4))
-    for i in range(count):
-        plant, stiffness = plant_of(table[i]), _slack_stiffness(table[i])
-        write_sampled_models(plant, stiffness, angles, period, a[i], b[i], e[i], LUMPED)
-    return a, b, e
 
 
 def state_space(
@@ -176,7 +150,7 @@ def state_space(
             "sampled_state_space"
         )
     held = np.zeros((_SIZE, _SIZE))
-    _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), equations)
+    _fill(held, params.plant(), params.belt_stiffness * (1 - params.belt_stiffening), math.cos(theta_1), equations)
     if not actuator:
         return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
     rate = 1 / params.current_loop_time_constant

@@ -22,10 +22,16 @@ from beltarm_env.physics.state import ArmState
 
 
 @inlined
+def carried_inertia(cos_phi: float, plant: Plant) -> float:
+    """Return M2(phi) [kg m^2]."""
+    return plant.inertia + plant.inertia_swing * (1 - cos_phi * cos_phi)
+
+
+@inlined
 def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
     """Return the entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
-    m2 = plant.inertia + plant.inertia_swing * (1 - cos_phi * cos_phi)
-    return plant.inverse_gear * plant.inverse_gear * plant.inverse_motor_inertia, 0.0, 1 / m2
+    motor = plant.inverse_gear * plant.inverse_gear * plant.inverse_motor_inertia
+    return motor, 0.0, 1 / carried_inertia(cos_phi, plant)
 
 
 @inlined

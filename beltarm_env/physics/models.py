@@ -68,6 +68,12 @@ def inverse_inertia(cos_phi: float, plant: Plant, model: Model) -> tuple[float, 
 
 
 @inlined
+def torsional_mobility(joint: float, mutual: float, arm: float) -> float:
+    """Return the torsional acceleration per belt torque, W11 - 2 W12 + W22 [1/(kg m^2)], while the motor slides."""
+    return joint - 2 * mutual + arm
+
+
+@inlined
 def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive | None, model: Model) -> float:
     """Return by how much a motor that slides accelerates per torque [rad/s^2 per N m], as `accelerations_at` has it.
 
@@ -79,30 +85,18 @@ def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive | None, model
 
 
 @inlined
-def driving_torque(x: ArmState, torque: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
-    """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
-    return driving_torque_at(x, angles_of(x, plant, drive), torque, plant, model, drive)
-
-
-@inlined
 def driving_torque_at(x: ArmState, at: Angles, torque: float, plant: Plant, model: Model, drive: Drive | None) -> float:
-    """Return `driving_torque` of a state whose sines and cosines are known."""
+    """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
     if model is LUMPED:
         return lumped.driving_torque(x, at, torque, plant, drive)
     return full_arm.driving_torque(x, at, torque, plant, drive)
 
 
 @inlined
-def driving_torque_rate(x: ArmState, torsional: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
-    """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
-    return driving_torque_rate_at(x, angles_of(x, plant, drive), torsional, plant, model, drive)
-
-
-@inlined
 def driving_torque_rate_at(
     x: ArmState, at: Angles, torsional: float, plant: Plant, model: Model, drive: Drive | None
 ) -> float:
-    """Return `driving_torque_rate` of a state whose sines and cosines are known."""
+    """Return the time derivative of `driving_torque_at` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
     if model is LUMPED:
         return lumped.driving_torque_rate(x, at, torsional, plant, drive)
     return full_arm.driving_torque_rate(x, at, torsional, plant, drive)

@@ -23,7 +23,13 @@ from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, near, nearer, turned
 from beltarm_env.physics.friction import free_motor
-from beltarm_env.physics.models import Model, acceleration_per_torque, accelerations_at, inverse_inertia
+from beltarm_env.physics.models import (
+    Model,
+    acceleration_per_torque,
+    accelerations_at,
+    inverse_inertia,
+    torsional_mobility,
+)
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.torque import Stages
 from beltarm_env.timing import CONTROL_PERIOD
@@ -212,7 +218,7 @@ def rk4_step(
     if drive is not None:
         w11, w12, w22 = inverse_inertia(at.cos_phi, plant, model)
         sliding = direction * direction
-        compliance = sliding * (w11 - 2 * w12 + w22) + (1 - sliding) * (w22 - w12 * w12 / w11)
+        compliance = sliding * torsional_mobility(w11, w12, w22) + (1 - sliding) * (w22 - w12 * w12 / w11)
         vibrates_by = dt * dt * plant.stiffness * compliance
         fifth = 1 + vibrates_by * vibrates_by * (1 / 120)
         y = y._replace(

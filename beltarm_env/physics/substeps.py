@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import SMALLEST_DEFLECTION, drive_of
-from beltarm_env.physics.models import Model, inverse_inertia
+from beltarm_env.physics.models import Model, inverse_inertia, torsional_mobility
 from beltarm_env.physics.step import FRICTION_STEPS, SPRING_TURN
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -25,17 +25,11 @@ Floats = NDArray[np.float64]
 
 
 @inlined
-def _torsional_mobility(cos_phi: float, plant: Plant, model: Model) -> float:
-    """Return the torsional acceleration per belt torque while the motor slides [1/(kg m^2)]."""
-    joint, mutual, arm = inverse_inertia(cos_phi, plant, model)
-    return joint - 2 * mutual + arm
-
-
-@inlined
 def fastest_rate(plant: Plant, model: Model, stiffening: float = 0.0) -> float:
     """Bound the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
     # A linear function of cos^2 over a concave one: largest at 0 or 90 degrees.
-    compliance = max(_torsional_mobility(0.0, plant, model), _torsional_mobility(1.0, plant, model))
+    upright, stretched = inverse_inertia(0.0, plant, model), inverse_inertia(1.0, plant, model)
+    compliance = max(torsional_mobility(*upright), torsional_mobility(*stretched))
     stiffness = plant.stiffness * (1 + 1.25 * stiffening)
     belt = max(math.sqrt(stiffness * compliance), plant.damping * compliance)
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)

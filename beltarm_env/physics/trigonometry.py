@@ -49,7 +49,7 @@ def sin_cos(angle: float) -> tuple[float, float]:
 
 @inlined
 def short_sin_cos(angle: float) -> tuple[float, float]:
-    """Return sine and cosine up to 0.5 rad; error below 1e-8."""
+    """Return sine and cosine up to 0.5 rad; error below 1e-7."""
     z = angle * angle
     sine = angle * ((1 - z * (1 / 6)) + z * z * (1 / 120 - z * (1 / 5040)))
     return sine, (1 - z * (1 / 2)) + z * z * (1 / 24 - z * (1 / 720))

@@ -92,7 +92,7 @@ class Renderer:
         return frame if self._window is None else self._window.show(frame)
 
     def clear(self) -> None:
-        """Forget the trace of the tip, for a new episode."""
+        """Forget the trace of the tip, for a new move."""
         self._trace.clear()
         if self._window is not None:
             self._window.restart()

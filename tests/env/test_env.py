@@ -251,11 +251,17 @@ def attribute_of(argument: str) -> str:
 
 class TestArguments:
     @pytest.mark.parametrize("name", ["BeltArm-v0", *(["BeltArmMuJoCo-v0"] if find_spec("mujoco") else [])])
-    def test_specs_tell_the_number_of_steps(self, name: str):
-        for moves in (1, 3):
-            for spec in (gym.make(name, moves=moves).spec, gym.make_vec(name, num_envs=2, moves=moves).spec):
-                assert spec is not None
-                assert EnvSpec.from_json(spec.to_json()).max_episode_steps == moves * EPISODE_STEPS
+    def test_specs_tell_the_number_of_steps_that_was_given(self, name: str):
+        def told(env: Any) -> tuple[int | None, int]:
+            return EnvSpec.from_json(env.spec.to_json()).max_episode_steps, env.unwrapped.max_episode_steps
+
+        both: list[Any] = [gym.make(name), gym.make_vec(name, num_envs=2)]
+        for made in both:
+            assert told(made) == (None, EPISODE_STEPS)
+            assert told(gym.make_vec(made.spec, moves=3)) == (None, 3 * EPISODE_STEPS)
+        assert told(gym.make(both[0].spec, moves=3)) == (None, 3 * EPISODE_STEPS)
+        assert told(gym.make(name, max_episode_steps=7)) == (7, EPISODE_STEPS), "Gymnasium's wrapper ends the episode"
+        assert told(gym.make_vec(name, num_envs=2, max_episode_steps=7)) == (7, 7)
 
     @pytest.mark.parametrize("settings", NUMPY_SETTINGS, ids=str)
     def test_specs_make_the_environment_again(self, settings: dict[str, Any]):

@@ -164,6 +164,7 @@ class TestStateDerivative:
         refused(ValueError, ("x ", "(4,)"), lambda: state_derivative([0, 0, 0], 0, FRICTIONLESS))
         refused(ValueError, words, lambda: state_derivative(np.zeros(4), 0, FRICTIONLESS, "full"))
         refused(ValueError, ("0.005",), lambda: state_derivative(np.zeros(4), 0, ArmParams(**GIVES)))
+        assert not state_derivative(np.zeros(4), 0, ArmParams(presliding_deflection=9e-7)).any(), "too little to give"
         refused(ValueError, words, lambda: state_space(DRIVEN, 0, "full"))
 
 

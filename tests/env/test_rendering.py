@@ -163,3 +163,21 @@ class TestThroughTheEnvironment:
         about = next(ffmpeg.read_frames(str(*tmp_path.glob("films/*-0.mp4"))))
         assert about["size"] == (640, 480)
         assert about["duration"] == pytest.approx(0.15, abs=0.03)
+
+    def test_traces_begin_with_the_move_alone_and_in_a_batch(self):
+        def last(env: Any, steps: int, drawn: int = -1) -> NDArray[np.uint8]:
+            env.reset(seed=5)
+            for k in range(steps):
+                env.step(np.full(env.action_space.shape, 0.01, np.float32))
+                if k == drawn:
+                    env.render()
+            return np.asarray(env.render()).reshape(480, 640, 3)
+
+        settings: Any = {"id": "BeltArm-v0", "render_mode": "rgb_array", "moves": 2}
+        single: Any = gym.make(**settings)
+        batch: Any = gym.make_vec(**settings, num_envs=1, max_episode_steps=1300, autoreset_mode="SameStep")
+        next_move = [last(env, 1260, drawn) for env in (single, batch) for drawn in (-1, 20)]
+        after_reset = [last(env, 80) for env in (single, batch)]
+        restarted = [last(batch, 1360, drawn) for drawn in (-1, 20)]
+        for first, *others in (next_move, after_reset, restarted):
+            assert all(np.array_equal(first, other) for other in others)

@@ -61,6 +61,16 @@ class TestStreams:
                 draw(streams, order, drawn)
             np.testing.assert_array_equal(drawn, [generators[i].random(count) for i in order])
 
+    def test_a_batch_tells_the_seed_of_each_and_gives_no_generator(self):
+        batch = BeltArmVectorEnv(2)
+        unseeded = batch.np_random_seed
+        first = batch.reset()[0]
+        assert batch.np_random_seed == unseeded and np.array_equal(batch.reset(seed=unseeded)[0], first)
+        batch.reset(seed=[7, None])
+        assert batch.np_random_seed == (7, unseeded[1]) and batch.reset(seed=3) and batch.np_random_seed == (3, 4)
+        refused(AttributeError, ("np_random", "reset(seed="), lambda: batch.np_random)
+        refused(AttributeError, ("np_random", "reset(seed="), lambda: setattr(batch, "np_random", None))
+
     def test_of_a_large_batch_begin_as_those_of_arms_alone(self):
         batch = BeltArmVectorEnv(5000, randomization="train")
         observations, _ = batch.reset(seed=7)

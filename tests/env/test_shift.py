@@ -149,7 +149,8 @@ class TestDraws:
         env.reset(seed=0, options={"params": {"friction_drift": 0.0}})
         for k in range(EPISODE_STEPS + 1):
             assert env._batch.driven is (None if k < EPISODE_STEPS else True)
-            env.step(STILL)
+            env.step(np.full(1, 0.01, np.float32))
+            assert env.motor_torque == pytest.approx(0.003)
 
     def test_arms_that_a_shift_makes_too_fast_are_refused(self):
         for viscous, drift in ((1.9, 0.0), (1.5, 0.45)):

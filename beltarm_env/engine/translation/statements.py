@@ -45,10 +45,6 @@ class Statements(Assignments):
                 return True
         return False
 
-    def _indented(self, body: list[ast.stmt]) -> None:
-        _, lines = self.apart(lambda: self.block(body))
-        self.lines += [f"    {line}" for line in lines]
-
     def _do_pass(self, statement: ast.Pass) -> None:
         """Translate nothing."""
 
