@@ -149,7 +149,9 @@ def tables(data: Data) -> Data:
 def by_factor(data: Data) -> dict[str, list[Data]]:
     """Variants by factor; the first of each is the run that its variants are compared with."""
     by_name = {variant["name"]: variant for variant in data["variants"]}
-    grouped = {factor: [v for v in data["variants"] if v["factor"] == factor] for factor in FACTORS}
+    grouped: dict[str, list[Data]] = {factor: [] for factor in FACTORS}
+    for variant in data["variants"][1:]:
+        grouped[variant["factor"]].append(variant)
     return {factor: [by_name[FACTORS[factor].against], *group] for factor, group in grouped.items() if group}
 
 
