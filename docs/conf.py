@@ -111,8 +111,9 @@ PAGES = {
     "CHANGELOG.md": "changelog",
     "CITATION.cff": "citing",
     "docs/tutorials": "gallery/index",
+    **{f"docs/tutorials/{path.name}": f"gallery/{path.stem}" for path in (DOCS / "tutorials").glob("*.py")},
 }
-"""Files outside docs/ that a page of the site includes, and the folder that the gallery shows."""
+"""Files outside docs/ that a page of the site includes, and what the gallery shows."""
 
 
 def adapt_page(app: Sphinx, doctree: nodes.document) -> None:
@@ -135,9 +136,9 @@ def adapt_link(link: nodes.Element, folder: Path) -> None:
         return
     target, _, anchor = link["reftarget"].partition("#")
     found = next((path for path in (Path(normpath(folder / target)), ROOT / target) if target and path.exists()), None)
-    if found is None or (found.is_relative_to(DOCS) and found.is_file()):
+    name = found.relative_to(ROOT).as_posix() if found else ""
+    if found is None or (name not in PAGES and found.is_relative_to(DOCS) and found.is_file()):
         return  # an unknown target, of which the build warns, or a file to be shipped
-    name = found.relative_to(ROOT).as_posix()
     if name in PAGES:
         wanted = {"refdomain": "doc", "reftype": "myst", "reftarget": PAGES[name], "reftargetid": anchor or None}
         new = addnodes.pending_xref("", *link.children, refdoc=link["refdoc"], **wanted)

@@ -1,6 +1,6 @@
 """
-What a real drive does
-======================
+What the faults of a drive do
+=============================
 
 Between a command and the arm there is an amplifier, a motor with friction, and a gear. Switch their
 effects on one by one, and see what each does to the arm and to two controllers.
@@ -111,7 +111,7 @@ axes.grid(alpha=0.3, axis="x")
 #
 # All of them at once
 # -------------------
-# A real drive has all effects together, and every one differently. ``randomization="train"`` draws
+# A drive has all effects together, and every one differently. ``randomization="train"`` draws
 # them:
 
 for name, controller in controllers.items():

@@ -1,8 +1,8 @@
 """Sets of scenarios: for development, for the test, and fresh ones for anybody.
 
     development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
-    test          drawn once, after controllers, agents and protocol are frozen, from seeds that the hash of the
-                  protocol's commit chooses, and kept in `eval/comparison/scenarios.json`
+    test          drawn once, from seeds that the hash of the protocol's commit chooses, and kept in
+                  `eval/comparison/scenarios.json`; nothing is chosen on it
     seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses; the only one with
                   further scenarios, as many as anybody wants
 
