@@ -50,8 +50,7 @@ from baselines.estimation.observer import (
     sticks,
     with_disturbance,
 )
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArm, between, dead_time, linear_arm, place
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, Plant
 from beltarm_env.arrays import Floats

@@ -19,7 +19,7 @@ torsion and its rate follow the model alone. If the encoder moves by more than t
 slide.
 
 The estimate is that of now. Beside it stands the state at the time at which a command of now will act, predicted by f
-over the dead time of the drive (`baselines.models.actuator`) under the commands that are known.
+over the dead time of the drive (`baselines.models.linear`) under the commands that are known.
 
 See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 """
@@ -33,8 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArm, between, dead_time, linear_arm, place
 from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN

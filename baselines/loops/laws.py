@@ -21,8 +21,7 @@ import numpy as np
 
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, linear_arm
+from baselines.models.linear import ANGLES, dead_time, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.lqg import LqgController, feedback_gains

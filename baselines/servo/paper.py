@@ -24,7 +24,7 @@ and where v changes from one sample to the next, theta_s' changes by the same am
 - tau_f has a law at rest. It follows the push of the feedback, M (K_v ... + K_p ...) - K_4 theta_s', so that neither
   the PD nor the vibration feedback is swallowed by stiction. With Table 2's gains and no such law the motor can rest
   up to tau_c / (M_a1 K_p) = 20 rad away, 13 degrees at the joint.
-- What is fed forward is that of a dead time later (`baselines.models.actuator`), when the command acts.
+- What is fed forward is that of a dead time later (`baselines.models.linear`), when the command acts.
 - All gains are tuned.
 
 K_4 damps as long as the PD is slower than the mode: one that holds the motor despite friction holds it against K_4 too.
@@ -46,7 +46,7 @@ from baselines.models.linear import turning_load
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
 from baselines.reading import Sample
-from baselines.servo.servo import Servo, ServoDesign
+from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats

@@ -4,25 +4,30 @@
     push = M(theta_r) (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_r - theta_a
 
 with the planned joint angle theta_r [rad], the inertia M = M_a1 + M2 / G^2 at the motor shaft, and tau_f as in
-`baselines.models.friction`. What is fed forward is that of a dead time later (`baselines.models.actuator`), when the
+`baselines.models.friction`. What is fed forward is that of a dead time later (`baselines.models.linear`), when the
 command acts; the errors are of now. The derivative acts on the measured speed; differenced over a sample, that is the
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
 The PID ignores the belt: those who plan the motion see to it that it is not excited.
+
+`Servo` and `ServoDesign` are those of all tuned servos, with or without this PID.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+from baselines.controller import ScalarController, TunedController
 from baselines.gains import tunable
-from baselines.models.friction import FrictionGains, compensated
+from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.linear import dead_time
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
 from baselines.reading import Sample
-from baselines.servo.servo import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined
 from beltarm_env.task.reference import Reference
@@ -33,6 +38,24 @@ MOST_RAMPS = 6
 ONSETS, TIMES, SPEEDS = (slice(PLAN + k * MOST_RAMPS, PLAN + (k + 1) * MOST_RAMPS) for k in range(3))
 """Places of planned ramps in the memory."""
 RAMPS_END = PLAN + 3 * MOST_RAMPS
+
+
+class ServoDesign(NamedTuple):
+    """What the law of a servo knows."""
+
+    plant: Plant  # of the design model
+    compensation: Compensation
+    lead: float  # dead time T [s]
+    gains: Any  # named tuple, see `Gains.numbers`
+
+
+class Servo(TunedController[Floats], ScalarController):
+    """Base of tuned servos; a subclass names its `gains_type`, `arm_law` and `memory_size`."""
+
+    def _known(self) -> Any:
+        """What the law knows; a law that needs more than its gains has a design of its own around this one."""
+        p = self.params
+        return ServoDesign(p.plant(), self.gains.compensation(p), dead_time(p), self.gains.numbers())
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from baselines.gains import tunable
-from baselines.models.modes import held_mode
+from baselines.models.linear import held_mode
 from baselines.models.ramps import Ramps, move_of
 from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
-from baselines.servo.servo import ServoDesign
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ServoDesign, ramp_torque
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape

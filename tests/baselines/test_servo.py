@@ -13,9 +13,7 @@ from scipy.signal import lsim
 
 from baselines import TUNABLE, rigid_controller
 from baselines.loops.laws import law_of
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES
-from baselines.models.modes import Mode, held_mode
+from baselines.models.linear import ANGLES, Mode, dead_time, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at
 from baselines.reading import read
