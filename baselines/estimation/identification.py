@@ -22,7 +22,7 @@ import numpy as np
 from baselines.estimation.accelerometer import AXES, unfiltered
 from baselines.estimation.arm_ekf import begin_track, change_part, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
-from baselines.estimation.believed_motion import Simulation, load, move_on, simulate, write_table
+from baselines.estimation.believed_motion import Simulation, load, move_on, simulate
 from baselines.estimation.filter_design import (
     Design,
     Inputs,
@@ -201,8 +201,9 @@ def estimate(design: Design, belief: Belief, room: Simulation, result: Estimate)
     """
     mean, most = belief.tracks.mean, 0
     load(mean, design.nominal, belief.deflection, room)
-    write_table(room.constants, result.table)
     for arm in range(len(mean)):
+        for i in range(len(FIELDS)):
+            result.table[arm, i] = room.constants[i * LANES + arm]
         result.delay[arm] = mean[arm, DELAY]
         most = max(most, int(mean[arm, DELAY]))
         result.states[arm], result.logs[arm] = mean[arm, :4], mean[arm, LOGS]
