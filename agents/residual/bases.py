@@ -67,7 +67,7 @@ def make_base(name: str, sensors: str = "encoder", gains: Mapping[str, float] | 
         return base
     if own is None or gains.keys() != asdict(own).keys():
         raise ValueError(f"{name!r} has no gains {in_a_line(', '.join(gains), 80)}")
-    with_gains = TUNABLE[name].controller if name in TUNABLE and not feels else type(base)
+    with_gains = TUNABLE[name] if name in TUNABLE and not feels else type(base)
     return with_gains(gains=type(own)(**gains))
 
 
