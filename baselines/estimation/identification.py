@@ -12,10 +12,9 @@ the commands given before: `estimate`.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -232,17 +231,6 @@ def _estimate_all(thread: int, design: Design, belief: Belief, result: Estimate,
         high = min(low + ARMS, len(result.delay))
         some = Estimate._make(part[low:high] for part in result)
         estimate(design, _some(belief, low, high), room, some)
-
-
-Memory = TypeVar("Memory")
-
-
-class IdentifyingController(ABC, Generic[Memory]):
-    """A controller whose memory holds a belief about its arms."""
-
-    @abstractmethod
-    def belief(self, memory: Memory) -> Belief:
-        """Belief at the sample that the memory belongs to."""
 
 
 class ArmIdentifier:

@@ -60,12 +60,8 @@ SLIDES = 2 * QUANTUM
 AT_REST = 0.2
 """Correction of the angle of a motor at rest, per sample."""
 _AT_REST = np.array([AT_REST, 0.0, 0.0, 0.0, 0.0])
-LARGEST_TORQUE = 0.05
-"""Of d [N m]: beyond any friction's error."""
-LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])
-"""Of x: keeps an estimate that has diverged finite."""
-
-
+LARGEST = np.array([300.0, 2000.0, 2.0, 200.0, 0.05])
+"""Of x: keeps an estimate that has diverged finite. Of d [N m]: beyond any friction's error."""
 STATE, AHEAD, DISTURBANCE = slice(X + DRIVE_STATES), slice(X + DRIVE_STATES, 2 * X + DRIVE_STATES), 2 * X + DRIVE_STATES
 """Entries of an estimate: of arm and drive, as `ArmSimulation` has them, of which the first are x now; x at the time at
 which a command of now acts; and d [N m]."""
@@ -99,9 +95,10 @@ def acting_torque(command: float, estimate: Floats) -> float:
 
 
 @inlined
-def limited(value: float, largest: float) -> float:
-    """The value within its bounds, -largest and largest."""
-    return min(max(value, -largest), largest)
+def add_correction(estimate: Floats, i: int, correction: float) -> None:
+    """Add a correction to the i-th entry of [x; d], within its bounds."""
+    entry = i if i < X else DISTURBANCE
+    estimate[entry] = min(max(estimate[entry] + correction, -LARGEST[i]), LARGEST[i])
 
 
 @inlined
@@ -116,11 +113,9 @@ def correct(design: ObserverDesign, measured: Measured, arm: int, predicted: Flo
     estimate[STATE] = predicted
     at_rest, innovation = sticks(estimate, measured.angle[arm]), measured.angle[arm] - estimate[0]
     row, weight = place(estimate[0] / design.row[COLUMN.gear_ratio])
-    for i in range(X):
+    for i in range(X + 1):
         gain = _AT_REST[i] if at_rest else between(design.gains[row, i], design.gains[row + 1, i], weight)
-        estimate[i] = limited(estimate[i] + gain * innovation, LARGEST[i])
-    gain = _AT_REST[X] if at_rest else between(design.gains[row, X], design.gains[row + 1, X], weight)
-    estimate[DISTURBANCE] = limited(estimate[DISTURBANCE] + gain * innovation, LARGEST_TORQUE)
+        add_correction(estimate, i, gain * innovation)
 
 
 @compiled

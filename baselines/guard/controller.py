@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.estimation.identification import IdentifyingController
 from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
 from baselines.guard.settings import GuardSettings
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.reading import beginning
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
@@ -84,7 +84,7 @@ class GuardedController:
     def parts(self, action: Singles, memory: Any) -> Torques:
         """Take a command of the controller apart, from its memory after it."""
         ones = np.ones(len(action))
-        if isinstance(self.controller, IdentifyingController):
+        if isinstance(self.controller, AdaptiveController):
             ones = self.controller.belief(memory).tracks.surprise
         return Torques(action[:, 0].astype(np.float64), np.zeros(len(action)), ones)
 

@@ -25,7 +25,7 @@ import numpy as np
 from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.filter_design import Uncertainty
-from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
+from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
 from baselines.planning.plan import GAIN, Weights, planned, rows_at
@@ -74,7 +74,7 @@ class AdaptiveMemory:
     cache: PlanCache
 
 
-class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingController[AdaptiveMemory]):
+class AdaptiveController(ClassicalController[AdaptiveMemory]):
     """Adaptive preview LQG on encoder observations.
 
     Args:
@@ -100,7 +100,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         improvements: int = STEPS,
         model: str = "lumped",
     ) -> None:
-        super().__init__(params or design_model())
+        super().__init__(params)
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
         self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)

@@ -37,7 +37,6 @@ from baselines.estimation.observer import (
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArm, linear_arm
-from baselines.models.ramps import move_of
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     Plans,
@@ -49,7 +48,7 @@ from baselines.planning.plan import (
     step_of_plan,
     torque_between,
 )
-from baselines.reading import Reading, Sample, chosen
+from baselines.reading import Reading, Sample, chosen, move_of
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled

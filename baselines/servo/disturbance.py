@@ -35,8 +35,7 @@ import numpy as np
 
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, compensated
-from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import link_torque, motor_errors
+from baselines.models.rigid_arm import link_torque, motor_errors, task_motion
 from baselines.reading import Sample
 from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD

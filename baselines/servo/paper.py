@@ -43,8 +43,7 @@ from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, compensated
 from baselines.models.linear import turning_load
-from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
+from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque, task_motion
 from baselines.reading import Sample
 from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD, ArmParams

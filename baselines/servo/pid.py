@@ -9,7 +9,9 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: those who plan the motion see to it that it is not excited.
+The PID ignores the belt: those who plan the motion see to it that it is not excited. Its speed is then a sum of ramps.
+A ramp gains `speed` between `onset` and `onset + time`, linearly or as 3u^2 - 2u^3, and keeps it. The task's trapezoid
+is one ramp up and one down, an S-curve has smooth ramps, and a shaped move several up and several down.
 
 `Servo` and `ServoDesign` are those of all tuned servos, with or without this PID.
 """
@@ -23,14 +25,13 @@ from baselines.controller import ScalarController, TunedController
 from baselines.gains import tunable
 from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.linear import dead_time
-from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
 from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.engine import inlined
-from beltarm_env.task.reference import Reference
+from beltarm_env.engine import compiled, inlined
+from beltarm_env.task.reference import Reference, linear_ramp, smooth_ramp
 
 INTEGRAL, PLAN = 0, 1
 """Place of the integral of the motor's angle error [rad s] in the memory, and of the plan that follows it."""
@@ -38,6 +39,39 @@ MOST_RAMPS = 6
 ONSETS, TIMES, SPEEDS = (slice(PLAN + k * MOST_RAMPS, PLAN + (k + 1) * MOST_RAMPS) for k in range(3))
 """Places of planned ramps in the memory."""
 RAMPS_END = PLAN + 3 * MOST_RAMPS
+
+
+class Ramps(NamedTuple):
+    """Ramps of one arm; arrays of shape (most,), of which the first few count."""
+
+    onset: Floats  # [s] from the move's start
+    time: Floats  # [s]
+    speed: Floats  # gained [rad/s]
+
+
+@inlined
+def ramps_in(memory: Floats) -> Ramps:
+    """Ramps that a law's memory holds."""
+    return Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+
+
+@compiled
+def motion_at(ramps: Ramps, count: int, smooth: bool, start: float, time: float) -> Reference:
+    """Motion at `time` [s] of an arm at rest at `start` [rad] before its ramps.
+
+    Where the acceleration jumps, it is the one after the jump.
+    """
+    angle, speed, acceleration = start, 0.0, 0.0
+    for k in range(count):
+        u = (time - ramps.onset[k]) / ramps.time[k]
+        if smooth:
+            area, height, slope = smooth_ramp(u)
+        else:
+            area, height, slope = linear_ramp(u)
+        angle += ramps.speed[k] * ramps.time[k] * area
+        speed += ramps.speed[k] * height
+        acceleration += ramps.speed[k] / ramps.time[k] * slope
+    return Reference(angle, speed, acceleration)
 
 
 class ServoDesign(NamedTuple):

@@ -34,9 +34,8 @@ import numpy as np
 
 from baselines.gains import tunable
 from baselines.models.linear import Mode, held_mode
-from baselines.models.ramps import Ramps, move_of
-from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ServoDesign, ramp_torque
+from baselines.reading import Sample, move_of
+from baselines.servo.pid import INTEGRAL, RAMPS_END, PidGains, PidServo, Ramps, ServoDesign, ramp_torque, ramps_in
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
@@ -115,7 +114,7 @@ def plan_shaped(design: ShapingDesign, move: MoveShape, ramps: Ramps) -> None:
 @compiled
 def shaping_law(design: ShapingDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
-    ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+    ramps = ramps_in(memory)
     if begins:
         memory[INTEGRAL] = 0.0
         plan_shaped(design, move_of(now), ramps)

@@ -14,7 +14,6 @@ from scipy.signal import lsim
 from baselines import TUNABLE, rigid_controller
 from baselines.loops.laws import law_of
 from baselines.models.linear import ANGLES, Mode, dead_time, held_mode
-from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import inertia_at
 from baselines.reading import read
 from baselines.servo import shaping
@@ -22,7 +21,7 @@ from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedb
 from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, DisturbanceGains
 from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
 from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
-from baselines.servo.pid import INTEGRAL, MOST_RAMPS
+from baselines.servo.pid import INTEGRAL, MOST_RAMPS, Ramps, motion_at
 from baselines.servo.shaping import ExtraInsensitiveGains
 from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
