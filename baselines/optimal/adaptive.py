@@ -23,12 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.controller import ClassicalController, LawKernel
-from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
-from baselines.planning.plan import GAIN, Weights, planned, rows_at
+from baselines.planning.plan import Weights, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -110,11 +109,6 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
         return memory.belief
-
-    def resting_gain(self, joint: float) -> Floats:
-        """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
-        move = np.array([joint, joint, 0.5, 0.2])
-        return planned(move, nominal_row(self.params), self._weights)[0, GAIN : GAIN + 4]
 
     def kernel(self, plan_samples: int = 1) -> LawKernel:
         """The law for one arm, on encoder observations.

@@ -9,9 +9,9 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: those who plan the motion see to it that it is not excited. Its speed is then a sum of ramps.
-A ramp gains `speed` between `onset` and `onset + time`, linearly or as 3u^2 - 2u^3, and keeps it. The task's trapezoid
-is one ramp up and one down, an S-curve has smooth ramps, and a shaped move several up and several down.
+The PID ignores the belt: those who plan the motion see to it that it is not excited. A planned motion's speed may be a
+sum of ramps. A ramp gains `speed` between `onset` and `onset + time`, linearly or as 3u^2 - 2u^3, and keeps it. The
+task's trapezoid is one ramp up and one down, an S-curve has smooth ramps, a shaped move several up and several down.
 
 `Servo` and `ServoDesign` are those of all tuned servos, with or without this PID.
 """

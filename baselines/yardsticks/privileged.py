@@ -99,7 +99,10 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         arms = self._simulation.at_rest(reading.motor_angle)
         if memory is not None:
             arms = np.where(rests[:, None], arms, self._simulation.advance(memory.arms, command))
-        self._know(number)
+        table = self._tables[number, np.arange(len(number))]  # of the arms as they are in these moves
+        if not np.array_equal(table, self._table):
+            self._table = table
+            self._simulation.set_table(table)
         self._correct(arms, reading)
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
@@ -125,10 +128,3 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         off = np.abs(reading.motor_angle - arms[:, 0]) > QUANTUM
         arms[:, 2:X] = reading.torsion
         arms[off, 0], arms[off, 1] = reading.motor_angle[off], reading.motor_speed[off]
-
-    def _know(self, number: Integers) -> None:
-        """Know the arms as they are in their moves of these numbers."""
-        table = self._tables[number, np.arange(len(number))]
-        if not np.array_equal(table, self._table):
-            self._table = table
-            self._simulation.set_table(table)
