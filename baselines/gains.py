@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import json
 from collections import namedtuple
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, astuple, dataclass, field, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from baselines.tools.command import this_python
 from baselines.tools.files import read_text, write_text
 from baselines.tools.schema import in_a_line, loads
-from beltarm_env.rollout import Controller
 
 FILE = Path(__file__).with_name("gains.json")
 
@@ -63,13 +62,6 @@ def _numbers_of(kind: type[Gains]) -> Any:
 
 
 AnyGains = TypeVar("AnyGains", bound=Gains)
-
-
-class Tunable(NamedTuple):
-    """A controller that `baselines/tune.py` can tune."""
-
-    controller: Callable[..., Controller]  # makes one from gains of the type below, and `params`
-    gains: type[Gains]
 
 
 def tuned(name: str, kind: type[AnyGains]) -> AnyGains:

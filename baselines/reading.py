@@ -10,6 +10,7 @@ from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import ROUNDER
+from beltarm_env.task.reference import MoveShape
 
 
 class Reading(NamedTuple):
@@ -59,6 +60,12 @@ def sample_of(reading: Reading, arm: int) -> Sample:
     measured = (part[arm] for part in parts[:_MOVE_FIELD])
     move = (reading.move[arm, k] for k in range(4))
     return Sample._make((*measured, *move, reading.step[arm], reading.last_command[arm], reading.holds_part[arm]))
+
+
+@inlined
+def move_of(now: Sample) -> MoveShape:
+    """The move that one arm is on."""
+    return MoveShape(now.start, now.goal, now.duration, now.ramp_time)
 
 
 _SCALES = observation.scales()

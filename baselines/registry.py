@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from baselines.gains import Tunable, tuned
+from baselines.gains import tuned
 from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController
 from baselines.optimal.lqg import LqgController
 from baselines.optimal.mpc import MpcController
@@ -21,25 +21,22 @@ from baselines.servo.smooth import SmoothController
 from baselines.tools.command import require_known
 from beltarm_env import ArmParams
 
-TUNABLE = {
-    name: Tunable(controller, controller.gains_type)
-    for name, controller in {
-        "retuned": RetunedController,
-        "zv": ZvController,
-        "zvd": ZvdController,
-        "ei": EiController,
-        "smooth": SmoothController,
-        "flat": FlatController,
-        "disturbance": DisturbanceController,
-        "adrc": AdrcController,
-        "lqg": LqgController,
-        "robust": RobustController,
-        "preview": PreviewController,
-        "mpc": MpcController,
-        "adaptive": AdaptiveController,
-    }.items()
+TUNABLE: dict[str, type[Any]] = {
+    "retuned": RetunedController,
+    "zv": ZvController,
+    "zvd": ZvdController,
+    "ei": EiController,
+    "smooth": SmoothController,
+    "flat": FlatController,
+    "disturbance": DisturbanceController,
+    "adrc": AdrcController,
+    "lqg": LqgController,
+    "robust": RobustController,
+    "preview": PreviewController,
+    "mpc": MpcController,
+    "adaptive": AdaptiveController,
 }
-"""Controllers that `baselines/tune.py` tunes, by name."""
+"""Controllers that `baselines/tune.py` tunes, by name: made from gains of their `gains_type`, and `params`."""
 
 
 def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
@@ -53,7 +50,7 @@ def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
         ValueError: If there is none with gains of this name, or the file of gains is damaged or out of date.
     """
     require_known((name,), TUNABLE, "no controller with gains is called {}")
-    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains), params=params)
+    return TUNABLE[name](tuned(name, TUNABLE[name].gains_type), params=params)
 
 
 CONTROLLERS: dict[str, Callable[..., Any]] = {
@@ -73,8 +70,8 @@ They stay available by name; comparisons leave them out unless they are named.
 """
 
 
-def _with_accelerometer(kind: Callable[..., Any], name: str, params: ArmParams | None = None) -> Any:
-    return kind(tuned(name, TUNABLE[name].gains), params=params)
+def _with_accelerometer(kind: type[Any], name: str, params: ArmParams | None = None) -> Any:
+    return kind(tuned(name, kind.gains_type), params=params)
 
 
 WITH_ACCELEROMETER: dict[str, Callable[..., Any]] = {

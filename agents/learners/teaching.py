@@ -49,8 +49,8 @@ TORQUE_PRICE = 5.0
 """Price of a change of the torque from sample to sample, over what the task charges."""
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
-_ELAPSED = [entry.name for entry in layout.ENTRIES["encoder"]].index("elapsed_time")
-_SCALE_OF_TIME = layout.ENTRIES["encoder"][_ELAPSED].scale / CONTROL_PERIOD  # to samples
+_ELAPSED = layout.index("elapsed_time")
+_SCALE_OF_TIME = layout.scales()[_ELAPSED] / CONTROL_PERIOD  # to samples
 
 
 class Advice(NamedTuple):

@@ -41,16 +41,16 @@ def missed(recording: Recording, seen: Singles, hold: int, knowledge: Knowledge)
         hold: Samples of a hold.
         knowledge: That of the agent; without a filter's belief all is missed.
     """
-    true = recording.in_turn(truth(recording, hold))
+    true = truth(recording, hold)
     return true if knowledge == "none" else true - believed(seen)
 
 
 def truth(recording: Recording, hold: int) -> Floats:
-    """True quantities at samples 0, hold, 2 hold, ..., shape (samples, n, quantities).
+    """True quantities as each hold begins, shape (holds of all moves, arms, quantities).
 
     Constants are per commanded torque: a torque constant that is too high by k looks like an arm whose inertias,
     stiffness and friction are lower by 1 + k, and nothing that is measured tells the two apart. Friction is that of the
-    episode's start, from which it drifts. Nothing is recorded at sample 0, where the arm rests: it has the next one's.
+    episode's start, from which it drifts. Nothing is recorded as a move begins, at rest: it has the next sample's.
     """
     rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
     count = len(recording.params)
@@ -58,7 +58,8 @@ def truth(recording: Recording, hold: int) -> Floats:
     for i, row in enumerate(recording.params):
         belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
     constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
-    return np.concatenate([belts, recording.tip_error[rows], recording.tip_velocity_error[rows], constants], axis=2)
+    tips = recording.tip_error[rows], recording.tip_velocity_error[rows]
+    return recording.in_turn(np.concatenate([belts, *tips, constants], axis=2))
 
 
 def _logs(table: Floats) -> Floats:

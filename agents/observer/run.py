@@ -182,7 +182,7 @@ def simulate(
     disturbed = Disturbed(source, observer, first, count)
     recording = rollout(disturbed, count, seed=first, randomization=randomization, moves=_MOVES)
     stayed = np.flatnonzero(recording.stayed)
-    true = recording.in_turn(truth(recording, observer.hold))[:, stayed]
+    true = truth(recording, observer.hold)[:, stayed]
     inputs = np.stack(disturbed.inputs)[:, stayed]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
 

@@ -16,7 +16,7 @@ from baselines.controller import LawKernel
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.reading import Sample
-from baselines.registry import TUNABLE, WITH_ACCELEROMETER
+from baselines.registry import WITH_ACCELEROMETER
 from baselines.tools.command import require_known
 from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -61,14 +61,13 @@ def make_base(name: str, sensors: str = "encoder", gains: Mapping[str, float] | 
     """
     require_known((name,), BASES, "no base controller {}")
     feels = sensors == "accelerometer" and name in WITH_ACCELEROMETER
-    base = (WITH_ACCELEROMETER if feels else BASES)[name]()
-    own: Any = getattr(base, "gains", None)
+    base: Any = (WITH_ACCELEROMETER if feels else BASES)[name]()
+    own = getattr(base, "gains", None)
     if gains is None or gains == (asdict(own) if own else {}):
         return base
     if own is None or gains.keys() != asdict(own).keys():
         raise ValueError(f"{name!r} has no gains {in_a_line(', '.join(gains), 80)}")
-    with_gains = TUNABLE[name].controller if name in TUNABLE and not feels else type(base)
-    return with_gains(gains=type(own)(**gains))
+    return type(base)(gains=type(own)(**gains))
 
 
 def base_settings(

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
-from baselines.guard.controller import GuardedController, Torques, servo_for
+from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning, chosen
-from beltarm_env.arrays import Flags, Singles
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller
 
@@ -158,13 +158,13 @@ class GuardedResidualController(GuardedController):
         self._limit = controller.settings.limit
         super().__init__(controller, servo, settings, self._limit)
 
-    def parts(self, action: Singles, memory: Any) -> Torques:
-        """Base, residual and what the observer makes of the arm."""
+    def parts(self, action: Singles, memory: Any) -> tuple[Floats, Floats, Floats]:
+        """Base, residual and what the observer makes of the arm, see `GuardedController.parts`."""
         assert isinstance(memory, ResidualMemory) and memory.informed is not None
         belief, base = memory.informed.belief, memory.informed.action[:, 0]
         surprise = np.ones(len(action)) if belief is None else belief.tracks.surprise
         residual = self._limit * memory.residual[:, 0].astype(np.float64)
-        return Torques(base.astype(np.float64), residual, surprise)
+        return base.astype(np.float64), residual, surprise
 
 
 def behind_guard(controller: Controller, settings: GuardSettings | None = None) -> GuardedController:

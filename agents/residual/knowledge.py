@@ -22,8 +22,8 @@ import numpy as np
 from gymnasium import spaces
 
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS
-from baselines.estimation.identification import Belief, IdentifyingController
-from baselines.optimal.adaptive import tuned_identifier
+from baselines.estimation.identification import Belief
+from baselines.optimal.adaptive import AdaptiveController, tuned_identifier
 from baselines.reading import Reading, Sample, beginning, read, sample_of
 from beltarm_env import ArmParams, design_model
 from beltarm_env import observation as layout
@@ -188,7 +188,7 @@ class InformedBase:
         self.profile = nominal_profile(base)
         arm = self.params or ArmParams()
         self._design = replace(design_model(), **{name: getattr(arm, name) for name in DATA_SHEET})
-        alone = knowledge == "belief" and not isinstance(base, IdentifyingController)
+        alone = knowledge == "belief" and not isinstance(base, AdaptiveController)
         self.identifier = tuned_identifier(self._design) if alone else None
         self.entries = ExtraEntries(
             plant=arm.plant(),

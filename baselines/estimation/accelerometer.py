@@ -39,19 +39,15 @@ from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.observer import (
     AT_REST,
-    DISTURBANCE,
-    LARGEST,
-    LARGEST_TORQUE,
     QUANTUM,
     STATE,
     Measured,
     Noise,
-    limited,
+    add_correction,
     sticks,
     with_disturbance,
 )
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArm, between, dead_time, linear_arm, place
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, Plant
 from beltarm_env.arrays import Floats
@@ -188,7 +184,4 @@ def correct_by_both(
                 fast = between(design.sliding[row, low + 1, i, k], design.sliding[row + 1, low + 1, i, k], weight)
                 gain = between(slow, fast, part)
             correction += gain * innovations[k]
-        if i < X:
-            estimate[i] = limited(estimate[i] + correction, LARGEST[i])
-        else:
-            estimate[DISTURBANCE] = limited(estimate[DISTURBANCE] + correction, LARGEST_TORQUE)
+        add_correction(estimate, i, correction)

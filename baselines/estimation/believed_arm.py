@@ -121,24 +121,11 @@ def constants_of(constants: Floats, lane: int) -> Any:
 
 
 @compiled
-def take(beliefs: Floats, z: Floats) -> None:
-    """Copy z of some arms into lanes.
-
-    Args:
-        beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
-        z: A row of LANES for each entry, shape (SIZE * LANES,) or (ACCELEROMETER_SIZE * LANES,); written.
-    """
-    for lane in range(len(beliefs)):
-        for i in range(len(z) // LANES):
-            z[i * LANES + lane] = beliefs[lane, i]
-
-
-@compiled
 def believe(z: Floats, arms: int, nominal: Floats, constants: Floats) -> None:
     """Write the constants that z stands for, all but its ripple and d.
 
     Args:
-        z: Of some arms, from `take`.
+        z: Of some arms, a row of LANES for each entry, shape (SIZE * LANES,) or (ACCELEROMETER_SIZE * LANES,).
         arms: How many.
         nominal: From `nominal_row`.
         constants: A row of LANES for each of `FIELDS`, shape (len(FIELDS) * LANES,); written.
@@ -208,7 +195,7 @@ def write_ripple(of: Floats, z: Floats, arms: int, shapes: Floats, torques: Floa
 
     Args:
         of: Lanes of which the first two rows are the motor's angle [rad] and speed [rad/s] when it begins.
-        z: Of the arms, from `take`.
+        z: Of the arms, as of `believe`.
         arms: How many.
         shapes: Sine and cosine of each of ORDERS from `ripple_shape`, a row each, written.
         torques: Shape (LANES,), written.

@@ -14,7 +14,7 @@ import numpy as np
 
 from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import mean_acceleration
-from baselines.estimation.believed_arm import Nominal, believe, believe_entry, constants_of, take, write_ripple
+from baselines.estimation.believed_arm import Nominal, believe, believe_entry, constants_of, write_ripple
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
@@ -48,8 +48,8 @@ class Simulation(NamedTuple):
     work: Rows  # shape (REAL_WORK_ROWS * LANES,)
     actions: Rows  # shape (LANES,)
     velocities: Floats  # of the arm's end where a lane begins, shape (2 * LANES,); (2,) without an accelerometer
-    z: Rows  # of the arms, see `take`
-    constants: Rows  # of them, see `believe`
+    z: Rows  # of the arms, see `believe`
+    constants: Rows  # of them, likewise
     perturbed: Rows  # the same of a copy
     shapes: Rows  # of the arms' ripple, see `write_ripple`
     other_shapes: Rows  # of a copy's
@@ -135,7 +135,9 @@ def load(beliefs: Floats, nominal: Nominal, deflections: Floats, room: Simulatio
         room: Changed.
     """
     arms = len(beliefs)
-    take(beliefs, room.z)
+    for lane in range(arms):
+        for i in range(len(room.z) // LANES):
+            room.z[i * LANES + lane] = beliefs[lane, i]
     believe(room.z, arms, nominal.row, room.constants)
     for lane in range(arms):
         room.loaded[at.DRIVEN * LANES + lane] = 1.0
@@ -188,14 +190,6 @@ def load_copy(
     load_torques(block, arms, z, ripple, actions)
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] = beliefs[lane, entry]
-
-
-@compiled
-def write_table(constants: Floats, table: Floats) -> None:
-    """Write the constants in the first lanes as a table."""
-    for lane in range(len(table)):
-        for i in range(table.shape[1]):
-            table[lane, i] = constants[i * LANES + lane]
 
 
 @compiled

@@ -12,17 +12,16 @@ the commands given before: `estimate`.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.estimation.accelerometer import AXES, unfiltered
 from baselines.estimation.arm_ekf import begin_track, change_part, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
-from baselines.estimation.believed_motion import Simulation, load, move_on, simulate, write_table
+from baselines.estimation.believed_motion import Simulation, load, move_on, simulate
 from baselines.estimation.filter_design import (
     Design,
     Inputs,
@@ -201,8 +200,9 @@ def estimate(design: Design, belief: Belief, room: Simulation, result: Estimate)
     """
     mean, most = belief.tracks.mean, 0
     load(mean, design.nominal, belief.deflection, room)
-    write_table(room.constants, result.table)
     for arm in range(len(mean)):
+        for i in range(len(FIELDS)):
+            result.table[arm, i] = room.constants[i * LANES + arm]
         result.delay[arm] = mean[arm, DELAY]
         most = max(most, int(mean[arm, DELAY]))
         result.states[arm], result.logs[arm] = mean[arm, :4], mean[arm, LOGS]
@@ -231,17 +231,6 @@ def _estimate_all(thread: int, design: Design, belief: Belief, result: Estimate,
         high = min(low + ARMS, len(result.delay))
         some = Estimate._make(part[low:high] for part in result)
         estimate(design, _some(belief, low, high), room, some)
-
-
-Memory = TypeVar("Memory")
-
-
-class IdentifyingController(ABC, Generic[Memory]):
-    """A controller whose memory holds a belief about its arms."""
-
-    @abstractmethod
-    def belief(self, memory: Memory) -> Belief:
-        """Belief at the sample that the memory belongs to."""
 
 
 class ArmIdentifier:

@@ -19,7 +19,7 @@ torsion and its rate follow the model alone. If the encoder moves by more than t
 slide.
 
 The estimate is that of now. Beside it stands the state at the time at which a command of now will act, predicted by f
-over the dead time of the drive (`baselines.models.actuator`) under the commands that are known.
+over the dead time of the drive (`baselines.models.linear`) under the commands that are known.
 
 See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 """
@@ -33,8 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArm, between, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArm, between, dead_time, linear_arm, place
 from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN
@@ -61,12 +60,8 @@ SLIDES = 2 * QUANTUM
 AT_REST = 0.2
 """Correction of the angle of a motor at rest, per sample."""
 _AT_REST = np.array([AT_REST, 0.0, 0.0, 0.0, 0.0])
-LARGEST_TORQUE = 0.05
-"""Of d [N m]: beyond any friction's error."""
-LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])
-"""Of x: keeps an estimate that has diverged finite."""
-
-
+LARGEST = np.array([300.0, 2000.0, 2.0, 200.0, 0.05])
+"""Of x: keeps an estimate that has diverged finite. Of d [N m]: beyond any friction's error."""
 STATE, AHEAD, DISTURBANCE = slice(X + DRIVE_STATES), slice(X + DRIVE_STATES, 2 * X + DRIVE_STATES), 2 * X + DRIVE_STATES
 """Entries of an estimate: of arm and drive, as `ArmSimulation` has them, of which the first are x now; x at the time at
 which a command of now acts; and d [N m]."""
@@ -100,9 +95,10 @@ def acting_torque(command: float, estimate: Floats) -> float:
 
 
 @inlined
-def limited(value: float, largest: float) -> float:
-    """The value within its bounds, -largest and largest."""
-    return min(max(value, -largest), largest)
+def add_correction(estimate: Floats, i: int, correction: float) -> None:
+    """Add a correction to the i-th entry of [x; d], within its bounds."""
+    entry = i if i < X else DISTURBANCE
+    estimate[entry] = min(max(estimate[entry] + correction, -LARGEST[i]), LARGEST[i])
 
 
 @inlined
@@ -117,11 +113,9 @@ def correct(design: ObserverDesign, measured: Measured, arm: int, predicted: Flo
     estimate[STATE] = predicted
     at_rest, innovation = sticks(estimate, measured.angle[arm]), measured.angle[arm] - estimate[0]
     row, weight = place(estimate[0] / design.row[COLUMN.gear_ratio])
-    for i in range(X):
+    for i in range(X + 1):
         gain = _AT_REST[i] if at_rest else between(design.gains[row, i], design.gains[row + 1, i], weight)
-        estimate[i] = limited(estimate[i] + gain * innovation, LARGEST[i])
-    gain = _AT_REST[X] if at_rest else between(design.gains[row, X], design.gains[row + 1, X], weight)
-    estimate[DISTURBANCE] = limited(estimate[DISTURBANCE] + gain * innovation, LARGEST_TORQUE)
+        add_correction(estimate, i, gain * innovation)
 
 
 @compiled

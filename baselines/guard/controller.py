@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from baselines.estimation.identification import IdentifyingController
 from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
 from baselines.guard.settings import GuardSettings
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.reading import beginning
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
@@ -19,14 +19,6 @@ from beltarm_env.rollout import Controller, check_data_sheet, check_profile, nom
 
 _ANGLE, _LAST = layout.index("motor_angle"), layout.index("last_command")
 _ANGLE_SCALE = layout.scales()[_ANGLE]
-
-
-class Torques(NamedTuple):
-    """What a controller came to at a sample, taken apart for the guard; arrays of shape (n,)."""
-
-    base: Floats  # over the torque limit
-    residual: Floats  # the same, to be added to it
-    surprise: Floats  # w of the observer; 1 where there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +73,17 @@ class GuardedController:
         self.settings = settings or GuardSettings()
         self._design = self.settings.design(params, residual)
 
-    def parts(self, action: Singles, memory: Any) -> Torques:
-        """Take a command of the controller apart, from its memory after it."""
-        ones = np.ones(len(action))
-        if isinstance(self.controller, IdentifyingController):
-            ones = self.controller.belief(memory).tracks.surprise
-        return Torques(action[:, 0].astype(np.float64), np.zeros(len(action)), ones)
+    def parts(self, action: Singles, memory: Any) -> tuple[Floats, Floats, Floats]:
+        """Take a command of the controller apart, from its memory after it.
+
+        Returns:
+            Torque of the base over the limit, the residual that is to be added to it, likewise, and w of the observer,
+            1 where there is none; each of shape (n,).
+        """
+        surprise = np.ones(len(action))
+        if isinstance(self.controller, AdaptiveController):
+            surprise = self.controller.belief(memory).tracks.surprise
+        return action[:, 0].astype(np.float64), np.zeros(len(action)), surprise
 
     def predict(
         self,
@@ -101,9 +98,9 @@ class GuardedController:
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
         action, own = self.controller.predict(observation, state.own, episode_start, deterministic)
         servo, fallback, asked = self._servo_torque(observation, state, begins)
-        limit, parts = self.params.torque_limit, self.parts(action, own)
+        limit, (base, residual, surprise) = self.params.torque_limit, self.parts(action, own)
         angle, last = observation[:, _ANGLE] * _ANGLE_SCALE, limit * observation[:, _LAST].astype(np.float64)
-        inputs = (limit * parts.base, limit * parts.residual, limit * servo, angle, parts.surprise, last)
+        inputs = (limit * base, limit * residual, limit * servo, angle, surprise, last)
         guard, torques = state.guard.copy(), np.empty(len(begins))
         guard_arms(self._design, np.column_stack(inputs), begins, guard, torques)
         memory = GuardedMemory(own, fallback, asked, guard)

@@ -64,11 +64,9 @@ def finite(value: float) -> bool:
 
 @inlined
 def begin_encoder(angle: float, memory: Floats) -> None:
-    """Begin a move, taken to rest at a motor angle [rad]."""
-    memory[:ENCODER_SIZE] = 0.0
+    """Begin a move, taken to rest at a motor angle [rad], with a memory of zeros."""
     if finite(angle):
-        memory[ANGLE] = angle
-        memory[PLACE] = angle
+        memory[ANGLE] = memory[PLACE] = angle
 
 
 @inlined

@@ -56,14 +56,6 @@ class GuardInputs(NamedTuple):
 
 
 @inlined
-def _begin(now: GuardInputs, memory: Floats) -> None:
-    memory[:] = 0.0
-    begin_encoder(now.motor_angle, memory)
-    memory[LEARNED] = 1.0
-    memory[SURPRISE] = 1.0
-
-
-@inlined
 def _moved(weight: float, towards: float, most: float) -> float:
     return weight + min(max(towards - weight, -most), most)
 
@@ -138,7 +130,9 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
     """
     last = now.last_command if finite(now.last_command) else 0.0
     if begins:
-        _begin(now, memory)
+        memory[:] = 0.0
+        begin_encoder(now.motor_angle, memory)
+        memory[LEARNED] = memory[SURPRISE] = 1.0
         seen = Seen(True, True, True)
     else:
         seen = watch_encoder(design, now.motor_angle, last, memory)

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import IDENTIFIED
-from baselines.estimation.identification import IdentifyingController
 from baselines.loops.margins import Margins, margins_from_poles
 from baselines.loops.models import Loop, Poles, System, laws_at_angles, poles_of, sampled_arm
 from baselines.models.corners import CORNERS
 from baselines.models.linear import ANGLES
+from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Floats
 
@@ -41,7 +41,7 @@ def margins_on(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> tuple[M
         ValueError: If there is no linear law for the controller.
     """
     loops = list[Loop]()
-    laws = [] if isinstance(controller, IdentifyingController) else laws_at_angles(controller)
+    laws = [] if isinstance(controller, AdaptiveController) else laws_at_angles(controller)
     for name in arms:
         own = laws or laws_at_angles(believing(controller, CORNERS[name]))
         loops += map(Loop, own, _arm_at_angles(name))

@@ -21,13 +21,13 @@ import numpy as np
 
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, linear_arm
+from baselines.models.linear import ANGLES, dead_time, linear_arm
 from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.mpc import MpcController, horizon, plan
 from baselines.optimal.preview import PreviewController
+from baselines.planning.plan import GAIN, planned
 from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController, RetunedController, next_torsion
@@ -172,10 +172,11 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     Memory: x and d of the filter, the motor's torque and the commands under way; ripple is left out, and what friction
     adds to the filter's noise at slow speeds.
     """
-    params, uncertainty = ArmParams.from_row(nominal_row(controller.params)), controller.gains.uncertainty()
+    row, gains = nominal_row(controller.params), controller.gains
+    params, uncertainty, angle = ArmParams.from_row(row), gains.uncertainty(), float(ANGLES[k])
     lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)
-    a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), ANGLES[k])
-    gain = controller.resting_gain(ANGLES[k])
+    a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), angle)
+    gain = planned(np.array([angle, angle, 0.5, 0.2]), row, gains.weights())[0, GAIN : GAIN + 4]  # long before the end
     arm, growth = _linear_arm(params).at(k), uncertainty.growth()[DISTURBANCE]
     noise = uncertainty.torque, uncertainty.acceleration
     filter_gain = steady_gain(arm, *noise, uncertainty.decay, growth, QUANTUM**2 / 120)  # the constants held
@@ -211,8 +212,8 @@ def mpc_law(controller: MpcController, k: int) -> Law:
     small = np.diag([1e-3, 1e-2, 1e-5, 1e-3, 1e-3])
     away = 0.5 if angle < 0.8 else -0.5  # of the move's start; it ended long ago
     move, torques = MoveShape(angle + away, angle, 1.0, 0.3), np.empty((6, len(ahead.lengths)))
-    for state, planned in zip(rest + np.vstack([np.zeros(5), small]), torques, strict=True):
-        plan(ahead, move, 100.0, state, 0.0, planned)
+    for state, row in zip(rest + np.vstack([np.zeros(5), small]), torques, strict=True):
+        plan(ahead, move, 100.0, state, 0.0, row)
     gain = (torques[1:, 0] - torques[0, 0]) / small.diagonal()
     return _ahead_feedback(params, k, -gain, g.noise())
 

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from baselines.gains import Gains, tunable
-from baselines.models.modes import held_mode
+from baselines.models.linear import held_mode
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
@@ -66,16 +66,6 @@ class FlatPoint(NamedTuple):
     torsion_speed: float  # [rad/s]
     torque: float  # tau_m without Coulomb friction [N m]
     acceleration: float  # of the motor [rad/s^2]
-
-
-class LinkMotion(NamedTuple):
-    """phi along a smoothed move at one instant, and its derivatives."""
-
-    angle: float  # [rad]
-    speed: float  # [rad/s]
-    acceleration: float  # [rad/s^2]
-    jerk: float  # [rad/s^3]
-    lagging_snap: float  # phi'''' behind a lag [rad/s^4]
 
 
 @compiled
@@ -116,8 +106,8 @@ def _lagging(time: float, lag: float) -> float:
 
 
 @compiled
-def link_motion(corners: Floats, time: float, lag: float) -> LinkMotion:
-    """Motion of the link along a smoothed move at a time [s] since its start; `lag` [s] is that of `lagging_snap`."""
+def link_motion(corners: Floats, time: float, lag: float) -> tuple[float, float, float, float, float]:
+    """Return phi along a smoothed move at a time [s], and its four derivatives [rad, s], the last behind a lag [s]."""
     p, v, a, j, lagging = corners[0], 0.0, 0.0, 0.0, 0.0
     for k in range(_SPREADS):
         w, size = corners[1 + _SPREADS + k], corners[1 + 2 * _SPREADS + k]
@@ -133,7 +123,7 @@ def link_motion(corners: Floats, time: float, lag: float) -> LinkMotion:
         j += size / w * (4 * c - 8 * r)
         steps = 4 * _lagging(since, lag) - 8 * _lagging(since - 0.5 * w, lag) + 4 * _lagging(since - w, lag)
         lagging += size / (w * w) * steps
-    return LinkMotion(p, v, a, j, lagging)
+    return p, v, a, j, lagging
 
 
 @compiled

@@ -35,7 +35,7 @@ from baselines.gains import Gains, tunable
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.engine import compiled, inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import Reference
@@ -122,12 +122,3 @@ def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
     x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])
     coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
     return plant.coulomb_friction * coupled.friction, coupled.ripple
-
-
-@compiled
-def sliding_torques(table: Floats, states: Floats) -> tuple[Floats, Floats]:
-    """Return `sliding_torque` of n arms, two arrays of shape (n,); table and states with a row for each."""
-    friction, ripple = np.empty(len(states)), np.empty(len(states))
-    for i in range(len(states)):
-        friction[i], ripple[i] = sliding_torque(table[i], states[i])
-    return friction, ripple

@@ -1,4 +1,4 @@
-"""Inverse dynamics of the arm with a rigid belt, and errors of the motor from a motion of the joint.
+"""Motion of the joint: the task's, inverse dynamics of the arm with a rigid belt along one, and errors of the motor.
 
 With a rigid belt (phi = theta_1 = theta_a / G), (5a) and the completed (5b) add up to one equation at the motor shaft:
 
@@ -12,10 +12,17 @@ V_a1 [N m s/rad] and Coulomb friction tau_f [N m]. Leaving the middle term out, 
 from __future__ import annotations
 
 from baselines.models.linear import turning_load
-from baselines.reading import Sample
+from baselines.reading import Sample, move_of
+from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
-from beltarm_env.task.reference import Reference
+from beltarm_env.task.reference import TRAPEZOID, Reference, reference_at
+
+
+@inlined
+def task_motion(now: Sample, lead: float) -> Reference:
+    """Motion of the task's trapezoid, `lead` seconds after this sample."""
+    return reference_at(TRAPEZOID, move_of(now), CONTROL_PERIOD * now.step + lead)
 
 
 @inlined

@@ -23,12 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.controller import ClassicalController, LawKernel
-from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.filter_design import Uncertainty
-from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
+from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
-from baselines.planning.plan import GAIN, Weights, planned, rows_at
+from baselines.planning.plan import Weights, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -74,7 +73,7 @@ class AdaptiveMemory:
     cache: PlanCache
 
 
-class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingController[AdaptiveMemory]):
+class AdaptiveController(ClassicalController[AdaptiveMemory]):
     """Adaptive preview LQG on encoder observations.
 
     Args:
@@ -100,7 +99,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         improvements: int = STEPS,
         model: str = "lumped",
     ) -> None:
-        super().__init__(params or design_model())
+        super().__init__(params)
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
         self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
@@ -110,11 +109,6 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
         return memory.belief
-
-    def resting_gain(self, joint: float) -> Floats:
-        """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
-        move = np.array([joint, joint, 0.5, 0.2])
-        return planned(move, nominal_row(self.params), self._weights)[0, GAIN : GAIN + 4]
 
     def kernel(self, plan_samples: int = 1) -> LawKernel:
         """The law for one arm, on encoder observations.

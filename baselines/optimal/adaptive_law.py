@@ -16,7 +16,6 @@ from baselines.estimation.filter_design import Design, Inputs, Room, empty_input
 from baselines.estimation.identification import Belief, Estimate, empty_belief, empty_estimate, estimate, identify
 from baselines.models.friction import sliding_torque
 from baselines.models.linear import write_linear_arm
-from baselines.models.ramps import move_of
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     Weights,
@@ -29,7 +28,7 @@ from baselines.planning.plan import (
 from baselines.planning.replanning import is_stale, steps_of
 from baselines.planning.riccati import CostToGo, no_cost
 from baselines.planning.task_plan import PlanRoom, Start, plan_room, plan_task, refine
-from baselines.reading import Sample
+from baselines.reading import Sample, move_of
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats, Integers

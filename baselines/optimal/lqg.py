@@ -30,12 +30,10 @@ from baselines.estimation.observer import AHEAD, DISTURBANCE, ObservedArm, Obser
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
 from baselines.models.friction import SmoothCompensation, smooth_friction
 from baselines.models.linear import ANGLES, between, linear_arm, place
-from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, OWN, ObserverController
-from baselines.optimal.preview import PreviewGains
+from baselines.optimal.preview import ADDED, OWN, ObserverController, PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
-from baselines.reading import Sample
+from baselines.reading import Sample, move_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats

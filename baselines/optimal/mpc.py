@@ -34,16 +34,13 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.observer import AHEAD, DISTURBANCE, ObserverDesign, observer_design
-from baselines.models.actuator import dead_time
 from baselines.models.friction import SmoothCompensation, smooth_friction
-from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
-from baselines.models.ramps import move_of
+from baselines.models.linear import ANGLES, between, dead_time, linear_arm, place, turning_load
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
-from baselines.optimal.observer_feedback import ADDED, ObserverController
-from baselines.optimal.preview import PreviewGains
+from baselines.optimal.preview import ADDED, ObserverController, PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weights, softened_sine, write_tip_errors
-from baselines.reading import Sample
+from baselines.reading import Sample, move_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats

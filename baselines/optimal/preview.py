@@ -7,31 +7,36 @@ with the plan at the time at which the command acts, and the estimates x, of the
 for it. Friction tau_f is compensated as `baselines.models.friction` says, by the estimated speed at that time. All
 parameters are those of the design model. Separation of estimation and control holds for the linear arm only; friction
 and parameters that differ break it, which is why the noise of the filter and the weights of the torque are tuned.
+
+`ObserverController` is the base of all controllers that feed back what this observer estimates: one law for one arm.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from baselines.controller import LawKernel
+from baselines.controller import LawKernel, TunedController, run_law
 from baselines.estimation.accelerometer import AXES, SPREAD, accelerometer_design, correct_by_both, unfiltered
 from baselines.estimation.observer import (
     AHEAD,
     DISTURBANCE,
+    ESTIMATE_SIZE,
+    Correction,
     Measured,
     Noise,
     ObserverDesign,
+    correct,
+    observe,
     observe_arm,
     observer_design,
 )
 from baselines.gains import Gains, tunable
 from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
 from baselines.models.linear import LinearArm, linear_arm
-from baselines.models.ramps import move_of
-from baselines.optimal.observer_feedback import ADDED, OWN, ObserverController
 from baselines.planning.plan import (
     PLAN_COLUMNS,
     Plans,
@@ -43,11 +48,54 @@ from baselines.planning.plan import (
     step_of_plan,
     torque_between,
 )
-from baselines.reading import Reading, Sample, chosen
+from baselines.reading import Reading, Sample, chosen, move_of
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
 from beltarm_env.kernels.simulate import Room, room_for
+from beltarm_env.simulation import ArmSimulation
+
+ADDED, OWN = ESTIMATE_SIZE, ESTIMATE_SIZE + 1
+"""Entries of a law's memory after the estimate: torque beside the feedback's at the last sample [N m]; and from `OWN`
+on what the law keeps besides."""
+
+
+class ObserverController(TunedController[Any]):
+    """Base of controllers with an observer; a subclass names its `feedback_law`, and knows the design of `observer`."""
+
+    needs_servo = True
+    feedback_law: ClassVar[Callable[..., float]]
+    """See `LawKernel.law`; of its memory only the estimate counts where a move begins."""
+    correction: ClassVar[Correction] = staticmethod(correct)
+    memory_size: ClassVar[int] = OWN
+    _simulation: ArmSimulation | None = None  # of as many arms as there were so far
+
+    def law(self, reading: Reading, begins: Flags, memory: Any) -> tuple[Floats, Any]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        rows = self._observed(reading, begins, memory)
+        return self._torques(reading, begins, rows), rows
+
+    def _observed(self, reading: Reading, begins: Flags, memory: Floats | None) -> Floats:
+        """Copy of the laws' memory, shape (n, memory_size), with the estimates of this sample."""
+        count = len(begins)
+        rows = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
+        simulation, self._simulation = self._simulation, None  # while it is in use: another thread makes its own
+        if simulation is None or len(simulation.limits) < count:
+            simulation = ArmSimulation(self.params, count)
+        measured = self._measured(reading, begins, rows)
+        observe(type(self).correction, self._design.observer, measured, begins, rows, simulation.room)
+        self._simulation = simulation
+        return rows
+
+    def _measured(self, reading: Reading, begins: Flags, rows: Floats) -> Measured:
+        """What the observer reads; what it has to remember of that is written to the laws' memory."""
+        return Measured(reading.motor_angle, reading.last_command)
+
+    def _torques(self, reading: Reading, begins: Flags, rows: Floats) -> Floats:
+        torques = np.empty(len(begins))
+        run_law(type(self).feedback_law, self._design, reading, begins, rows, torques)
+        return torques
+
 
 _END = OWN + 2 * PLAN_COLUMNS
 _LOW, _HIGH = slice(OWN, OWN + PLAN_COLUMNS), slice(OWN + PLAN_COLUMNS, _END)  # of the memory: rows of the plan

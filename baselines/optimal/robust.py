@@ -41,9 +41,8 @@ from scipy.optimize import minimize, root
 
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, with_disturbance
 from baselines.gains import tunable, tuned
-from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
-from baselines.models.linear import ANGLES, linear_arm
+from baselines.models.linear import ANGLES, dead_time, linear_arm
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors

@@ -226,20 +226,15 @@ def _solve(
 
 
 @compiled
-def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats]:
-    """Follow the law v[k] = change[k] - gain[k] z_k on the linear problem, from dx_0 = 0.
-
-    Returns:
-        v [N m] of shape (T,), and dx after each sample, shape (T, n).
-    """
+def followed(trial: Trial, change: Floats, gain: Floats) -> Floats:
+    """Return v [N m] of shape (T,) by the law v[k] = change[k] - gain[k] z_k on the linear problem, from dx_0 = 0."""
     steps, states = trial.by_torque.shape
-    changes, away = np.empty(steps), np.empty((steps, states))
-    now, last = np.zeros(states), 0.0
+    changes, away, following, last = np.empty(steps), np.zeros(states), np.empty(states), 0.0
     for k in range(steps):
-        v = followed_change(states, change[k], gain[k], now, last)
-        deviate(states, trial.transition[k], trial.by_torque[k], now, v, away[k])
-        now, last, changes[k] = away[k], v, v
-    return changes, away
+        last = changes[k] = followed_change(states, change[k], gain[k], away, last)
+        deviate(states, trial.transition[k], trial.by_torque[k], away, last, following)
+        away[:] = following
+    return changes
 
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:

@@ -190,17 +190,3 @@ def rows_at(plans: Plans, time: Floats) -> Floats:
     """Rows of n plans before and after their times [samples], shape (n, 2, 10)."""
     steps = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)  # see `step_of_plan`
     return np.array([plan[k : k + 2] for plan, k in zip(plans, steps.tolist(), strict=True)])
-
-
-@compiled
-def _planned_torques(pairs: Floats, time: Floats, ahead: Floats, last: Floats) -> Floats:
-    torques = np.empty(len(time))
-    for i in range(len(time)):
-        _, share = step_of_plan(time[i])
-        torques[i] = torque_between(pairs[i, 0], pairs[i, 1], share, ahead[i], last[i])
-    return torques
-
-
-def planned_torque(plans: Plans, time: Floats, ahead: Floats, last: Floats) -> Floats:
-    """Torques [N m] of n arms by their plans, see `torque_of_plan`; times and last torques of shape (n,), x (n, 4)."""
-    return _planned_torques(rows_at(plans, time), time, ahead, last)

@@ -197,15 +197,13 @@ def improve(rows: Floats, first: int, problem: Problem, steps: Floats) -> bool:
 
 
 @compiled
-def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> int:
-    """Improve the rest of a plan for the task's own cost, and return by how many steps; `steps` is `PlanRoom.steps`."""
-    if not start.time < _LAST:
-        return 0
-    anchor(rows, start.time, start.state, problem)
-    for count in range(start.improvements):
-        if not improve(rows, int(start.time) + 1, problem, steps):
-            return count
-    return start.improvements
+def refine(problem: Problem, start: Start, steps: Floats, rows: Floats) -> None:
+    """Improve the rest of a plan for the task's own cost; `steps` is `PlanRoom.steps`."""
+    if start.time < _LAST:
+        anchor(rows, start.time, start.state, problem)
+        for _ in range(start.improvements):
+            if not improve(rows, int(start.time) + 1, problem, steps):
+                break
 
 
 @compiled

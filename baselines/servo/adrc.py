@@ -33,14 +33,13 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.gains import tunable
-from baselines.models.actuator import dead_time
 from baselines.models.flatness import CORNERS, SpreadGains, write_corners
 from baselines.models.friction import FrictionGains, compensated
-from baselines.models.ramps import move_of
+from baselines.models.linear import dead_time
 from baselines.models.rigid_arm import inertia_at, motor_errors
-from baselines.reading import Sample
+from baselines.reading import Sample, move_of
 from baselines.servo.flat import held_torque, joint_motion
-from baselines.servo.servo import Servo, ServoDesign
+from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined

@@ -7,7 +7,7 @@
 is solved for tau_d over each sample, with speeds as the encoder gives them, and filtered by Q(s) = g / (s + g), exactly
 discretised: d += (1 - exp(-g dt)) (tau_m - tau_known - M_a1 delta theta_a' / dt - d). Added to the torque it rejects
 the load as far as Q passes it. Known torques are viscous friction, dry friction by the commanded direction, and what
-moves the links of a rigid arm on the reference, both a dead time later (`baselines.models.actuator`), when the command
+moves the links of a rigid arm on the reference, both a dead time later (`baselines.models.linear`), when the command
 acts; so tau_d is next to zero on an arm like the design model that does not vibrate.
 
 **Torsion-torque feedback** (resonance ratio control: Yuki, Murakami and Ohnishi 1993). On a vibrating arm the load is
@@ -35,10 +35,9 @@ import numpy as np
 
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, compensated
-from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import link_torque, motor_errors
+from baselines.models.rigid_arm import link_torque, motor_errors, task_motion
 from baselines.reading import Sample
-from baselines.servo.servo import Servo, ServoDesign
+from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined

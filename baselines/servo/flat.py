@@ -19,10 +19,8 @@ from dataclasses import dataclass
 
 from baselines.gains import tunable
 from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
-from baselines.models.ramps import move_of
-from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, PLAN, PidGains, PidServo, pid_torque
-from baselines.servo.servo import ServoDesign
+from baselines.reading import Sample, move_of
+from baselines.servo.pid import INTEGRAL, PLAN, PidGains, PidServo, ServoDesign, pid_torque
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats

@@ -24,7 +24,7 @@ and where v changes from one sample to the next, theta_s' changes by the same am
 - tau_f has a law at rest. It follows the push of the feedback, M (K_v ... + K_p ...) - K_4 theta_s', so that neither
   the PD nor the vibration feedback is swallowed by stiction. With Table 2's gains and no such law the motor can rest
   up to tau_c / (M_a1 K_p) = 20 rad away, 13 degrees at the joint.
-- What is fed forward is that of a dead time later (`baselines.models.actuator`), when the command acts.
+- What is fed forward is that of a dead time later (`baselines.models.linear`), when the command acts.
 - All gains are tuned.
 
 K_4 damps as long as the PD is slower than the mode: one that holds the motor despite friction holds it against K_4 too.
@@ -35,18 +35,17 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.controller import ScalarController
-from baselines.gains import tunable
+from baselines.gains import Gains, tunable
 from baselines.models.friction import FrictionGains, compensated
 from baselines.models.linear import turning_load
-from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
+from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque, task_motion
 from baselines.reading import Sample
-from baselines.servo.servo import Servo, ServoDesign
+from baselines.servo.pid import Servo, ServoDesign
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
@@ -57,23 +56,16 @@ TORSION, TORSION_RATE, JOINT_SPEED = range(3)
 """Entries of the memory: theta_s [rad] and theta_s' [rad/s] simulated, and theta_1' as measured [rad/s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class PaperGains:
+_ANY = -sys.float_info.max, sys.float_info.max  # range of a gain that only has to be finite
+
+
+@dataclass(frozen=True)
+class PaperGains(Gains):
     """Feedback gains; the defaults are Table 2. K_p = omega_n^2 and K_v = 2 xi omega_n with omega_n = 5, xi = 2."""
 
-    torsion_speed: float = 0.15  # K_4  [N m s/rad]  of theta_s'; 0 switches vibration suppression off
-    angle: float = 25.0  # K_p  [1/s^2]
-    speed: float = 20.0  # K_v  [1/s]
-
-    def __post_init__(self) -> None:
-        """Refuse gains that are not finite.
-
-        Raises:
-            ValueError: Naming the gain.
-        """
-        for name in self.__slots__:
-            if not abs(value := getattr(self, name)) <= sys.float_info.max:
-                raise ValueError(f"PaperGains.{name} must be finite, got {value!r}")
+    torsion_speed: float = tunable(0.15, *_ANY)  # K_4  [N m s/rad]  of theta_s'; 0 switches vibration suppression off
+    angle: float = tunable(25.0, *_ANY)  # K_p  [1/s^2]
+    speed: float = tunable(20.0, *_ANY)  # K_v  [1/s]
 
 
 @inlined
@@ -119,24 +111,22 @@ def simulated_rate(joint_speed: float, joint_angle: float, begins: bool, plant: 
 
 
 class PaperDesign(NamedTuple):
-    """What the law knows: the nominal arm and the gains."""
+    """What the law knows."""
 
-    plant: Plant
-    torsion_speed: float  # K_4
-    angle: float  # K_p
-    speed: float  # K_v
+    plant: Plant  # of the nominal arm
+    gains: Any  # named tuple, see `Gains.numbers`
 
 
 @compiled
 def paper_law(design: PaperDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Eq. (11) [N m] for one arm, see `LawKernel`."""
-    plant, speed = design.plant, now.motor_speed
+    plant, gains, speed = design.plant, design.gains, now.motor_speed
     joint_angle = now.reference_angle - now.angle_error / plant.gear
     rate = simulated_rate(speed / plant.gear, joint_angle, begins, plant, memory)
-    feedback = design.speed * now.speed_error + design.angle * now.angle_error
+    feedback = gains.speed * now.speed_error + gains.angle * now.angle_error
     u_1 = plant.gear * now.reference_acceleration + feedback
     friction = plant.viscous_friction * speed + plant.coulomb_friction * np.sign(now.reference_speed)
-    return u_1 / plant.inverse_motor_inertia + friction - design.torsion_speed * rate
+    return u_1 / plant.inverse_motor_inertia + friction - gains.torsion_speed * rate
 
 
 class PaperController(ScalarController):
@@ -153,8 +143,8 @@ class PaperController(ScalarController):
 
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
         super().__init__(params or ArmParams())
-        self.gains = g = gains or PaperGains()
-        self._design = PaperDesign(self.params.plant(), g.torsion_speed, g.angle, g.speed)
+        self.gains = gains or PaperGains()
+        self._design = PaperDesign(self.params.plant(), self.gains.numbers())
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

@@ -14,7 +14,7 @@ exact for zeta = 0; with damping the vibration at the modelled mode is at most V
 
 **Which mode.** Accelerating excites the arm where it is then, so the ramp up of the task's trapezoid is shaped for the
 mode at the start, and the ramp down for the mode at the goal. The motor is held by its servo, so the mode is that of a
-fixed motor, see `baselines.models.modes`.
+fixed motor, see `baselines.models.linear`.
 
 **What delays.** A shaper delays by d = sum of A_i t_i, 0.03 to 0.15 s, which counts in full against the task. But the
 whole move is known ahead. So
@@ -33,11 +33,9 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.gains import tunable
-from baselines.models.modes import Mode, held_mode
-from baselines.models.ramps import Ramps, move_of
-from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
-from baselines.servo.servo import ServoDesign
+from baselines.models.linear import Mode, held_mode
+from baselines.reading import Sample, move_of
+from baselines.servo.pid import INTEGRAL, RAMPS_END, PidGains, PidServo, Ramps, ServoDesign, ramp_torque, ramps_in
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
@@ -116,7 +114,7 @@ def plan_shaped(design: ShapingDesign, move: MoveShape, ramps: Ramps) -> None:
 @compiled
 def shaping_law(design: ShapingDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
-    ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+    ramps = ramps_in(memory)
     if begins:
         memory[INTEGRAL] = 0.0
         plan_shaped(design, move_of(now), ramps)

@@ -17,11 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from baselines.gains import tunable
-from baselines.models.modes import held_mode
-from baselines.models.ramps import Ramps, move_of
-from baselines.reading import Sample
-from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidGains, PidServo, ramp_torque
-from baselines.servo.servo import ServoDesign
+from baselines.models.linear import held_mode
+from baselines.reading import Sample, move_of
+from baselines.servo.pid import INTEGRAL, RAMPS_END, PidGains, PidServo, Ramps, ServoDesign, ramp_torque, ramps_in
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
@@ -50,7 +48,7 @@ def plan_smooth(design: ServoDesign, move: MoveShape, ramps: Ramps) -> None:
 @compiled
 def smooth_law(design: ServoDesign, now: Sample, begins: bool, memory: Floats) -> float:
     """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
-    ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+    ramps = ramps_in(memory)
     if begins:
         memory[INTEGRAL] = 0.0
         plan_smooth(design, move_of(now), ramps)

@@ -143,7 +143,7 @@ def tune(config: TuningConfig, console: Console) -> None:
             for name, found in outcomes:
                 workplace.collect(name, config.journals)
                 if isinstance(found, SearchResult):
-                    gains = TUNABLE[name].gains(**found.gains)
+                    gains = TUNABLE[name].gains_type(**found.gains)
                     write_entry(name, gains, provenance(config, name, gains, found, at), config.out)
                     effort = f"{found.trials} trials, {found.refused} refused, {found.seconds:.0f} s"
                     costs = f"cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}"
@@ -162,7 +162,7 @@ def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResul
     effort = {name: value for name, value in asdict(found).items() if name not in ("gains", "arms")}
     margins: object = "not asked for"
     if (condition := config.terms.condition) is not None:
-        least = least_margins(TUNABLE[name].controller(gains), condition.arms)
+        least = least_margins(TUNABLE[name](gains), condition.arms)
         reached = {"modulus": round(least.modulus, 3), "modulus_at": least.modulus_at}
         reached |= {"delay_samples": round(least.delay, 2), "delay_at": least.delay_at}
         margins = {**asdict(condition), "reached": reached}

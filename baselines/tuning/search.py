@@ -44,7 +44,7 @@ from optuna.trial import FrozenTrial, TrialState
 from scipy.stats import wilcoxon
 
 from baselines.engines.parallel import Channel, Interrupted
-from baselines.gains import Gains, Tunable
+from baselines.gains import Gains
 from baselines.loops.condition import MarginCondition, least_margins
 from baselines.registry import TUNABLE
 from baselines.tools.files import errors_about
@@ -177,10 +177,10 @@ def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
     return study
 
 
-def search(tunable: Tunable, terms: Terms, journal: Path, channel: Channel | None = None) -> SearchResult:
-    """Search for gains, resuming from the journal, in which every trial is noted as it runs.
+def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None = None) -> SearchResult:
+    """Search for gains of a controller, resuming from the journal, in which every trial is noted as it runs.
 
-    The channel gets a `SearchProgress` after every batch of arms.
+    `kind` is the controller's, with its `gains_type`. The channel gets a `SearchProgress` after every batch of arms.
 
     Raises:
         ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
@@ -190,10 +190,10 @@ def search(tunable: Tunable, terms: Terms, journal: Path, channel: Channel | Non
     """
     steps, arms = split_budget(terms.budget, terms.moves)
     with own(journal), errors_about(journal):
-        study = open_search(tunable.gains, terms, journal)
+        study = open_search(kind.gains_type, terms, journal)
         if study.user_attrs.get("budget") == terms.budget:
             return SearchResult(**study.user_attrs["found"])
-        run = _Search(tunable, terms, study, channel or Channel())
+        run = _Search(kind, terms, study, channel or Channel())
         if run.steps > steps:
             raise ValueError(f"{journal} holds more steps than --budget {terms.budget} allows: raise it, or tune anew")
         while run.steps + RUNGS[-1] * terms.moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
@@ -216,15 +216,15 @@ class _Search:
         ValueError: If the untuned gains fall short of the margins, or there is no linear law.
     """
 
-    def __init__(self, tunable: Tunable, terms: Terms, study: optuna.Study, channel: Channel) -> None:
-        self._tunable, self._terms, self._study, self._channel = tunable, terms, study, channel
-        self._first, self._space = beginnings(tunable.gains), space(tunable.gains)
+    def __init__(self, kind: type[Any], terms: Terms, study: optuna.Study, channel: Channel) -> None:
+        self._kind, self._terms, self._study, self._channel = kind, terms, study, channel
+        self._first, self._space = beginnings(kind.gains_type), space(kind.gains_type)
         self._untuned = self._first[0]
         self.steps = terms.moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
         self.refused = len(self._trials(TrialState.PRUNED))
         condition = terms.condition
-        if condition is not None and condition.shortfall(untuned := tunable.controller(tunable.gains())) > 0:
-            least, remedy = least_margins(untuned, condition.arms), f"change the defaults of {tunable.gains.__name__}"
+        if condition is not None and condition.shortfall(untuned := kind()) > 0:
+            least, remedy = least_margins(untuned, condition.arms), f"change the defaults of {kind.gains_type.__name__}"
             raise ValueError(f"the untuned gains fall short of the margins asked for, {least}: {remedy}")
 
     def trial(self) -> None:
@@ -281,7 +281,7 @@ class _Search:
         failed = sum(_FAILURE in trial.user_attrs for trial in trials)
         seconds = sum(trial.duration.total_seconds() for trial in trials if trial.duration)
         return SearchResult(
-            gains=asdict(rounded(candidates[best].params, self._tunable.gains)),
+            gains=asdict(rounded(candidates[best].params, self._kind.gains_type)),
             arms=arms,
             steps=self.steps,
             trials=len(trials),
@@ -309,7 +309,7 @@ class _Search:
         return costs
 
     def _controller(self, params: dict[str, float]) -> Controller:
-        return self._tunable.controller(rounded(params, self._tunable.gains))
+        return self._kind(rounded(params, self._kind.gains_type))
 
     def _report(self) -> None:
         """Tell how far the search is, and end if asked to."""

@@ -97,4 +97,4 @@ class IterativeController(ClassicalController[Floats]):
         scales = np.repeat(np.array([POSITION_SCALE, VELOCITY_SCALE]), 2)
         weights = Weights(np.tile(1 / scales**2, (len(angle), 1)), np.full(len(angle), _SMOOTHNESS), _EFFORT)
         change, gain, _ = optimal_change(trial, weights, torque)
-        return followed(trial, change, gain)[0]
+        return followed(trial, change, gain)

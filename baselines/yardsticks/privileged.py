@@ -16,15 +16,17 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import QUANTUM
 from baselines.gains import tuned
-from baselines.models.actuator import dead_time
-from baselines.models.friction import sliding_torques
+from baselines.models.friction import sliding_torque
+from baselines.models.linear import dead_time
 from baselines.optimal.adaptive import AdaptiveGains
-from baselines.planning.plan import planned_torque
+from baselines.optimal.adaptive_law import Compensation, compensated
+from baselines.planning.plan import rows_at, step_of_plan, torque_between
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, params_table
 from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.engine import compiled
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.simulation import ArmSimulation, X
 
@@ -36,6 +38,28 @@ class PrivilegedMemory:
     cache: PlanCache
     arms: Floats  # states of arms and drives, as `ArmSimulation` has them
     number: Integers  # of each arm's move in the one episode that it is made for, shape (n,)
+
+
+@compiled
+def _write_torques(
+    of: Compensation, table: Floats, states: Floats, direction: Floats, pairs: Floats, time: Floats, torques: Floats
+) -> None:
+    """Write the torques of n arms.
+
+    Args:
+        of: What of friction is compensated.
+        table: Constants of the arms, columns as `ArmParams`.
+        states: x at the time at which the torques act, shape (n, 4).
+        direction: In which each motor slides; 0 where it sticks, shape (n,).
+        pairs: Rows of their plans before and after that time, shape (n, 2, 10).
+        time: It, since the move's start [samples], shape (n,).
+        torques: [N m], shape (n,), written.
+    """
+    for arm in range(len(time)):
+        _, share = step_of_plan(time[arm])
+        planned = torque_between(pairs[arm, 0], pairs[arm, 1], share, states[arm], 0.0)
+        friction, ripple = sliding_torque(table[arm], states[arm])
+        torques[arm] = planned + (compensated(of, friction, direction[arm], planned) - ripple)
 
 
 class PrivilegedController(ClassicalController[PrivilegedMemory]):
@@ -75,7 +99,10 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         arms = self._simulation.at_rest(reading.motor_angle)
         if memory is not None:
             arms = np.where(rests[:, None], arms, self._simulation.advance(memory.arms, command))
-        self._know(number)
+        table = self._tables[number, np.arange(len(number))]  # of the arms as they are in these moves
+        if not np.array_equal(table, self._table):
+            self._table = table
+            self._simulation.set_table(table)
         self._correct(arms, reading)
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
@@ -84,14 +111,12 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         cache = (
             (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, weights).renewed(now, weights)
         )
-        torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
-        friction, ripple = sliding_torques(self._table, ahead)
         gives = self._table[:, COLUMN.presliding_deflection] > 0
-        slides = np.where(gives, np.abs(arms[:, -1]) >= SLIPS, arms[:, 1] != 0)
-        pushed = np.clip(torque / self.gains.rest_width, -1, 1)  # the direction where the motor sticks
-        direction = np.where(slides & (arms[:, 1] != 0), np.sign(arms[:, 1]), pushed)
-        torque += self.gains.friction_share * friction * direction - ripple
-        return torque, PrivilegedMemory(cache, arms, number)
+        sticks = gives & (np.abs(arms[:, -1]) < SLIPS)
+        direction, torques = np.where(sticks, 0.0, np.sign(arms[:, 1])), np.empty(len(begins))
+        of = Compensation(self.gains.friction_share, self.gains.rest_width)
+        _write_torques(of, self._table, ahead, direction, rows_at(cache.plans, time), time, torques)
+        return torques, PrivilegedMemory(cache, arms, number)
 
     @staticmethod
     def _correct(arms: Floats, reading: Reading) -> None:
@@ -103,10 +128,3 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         off = np.abs(reading.motor_angle - arms[:, 0]) > QUANTUM
         arms[:, 2:X] = reading.torsion
         arms[off, 0], arms[off, 1] = reading.motor_angle[off], reading.motor_speed[off]
-
-    def _know(self, number: Integers) -> None:
-        """Know the arms as they are in their moves of these numbers."""
-        table = self._tables[number, np.arange(len(number))]
-        if not np.array_equal(table, self._table):
-            self._table = table
-            self._simulation.set_table(table)

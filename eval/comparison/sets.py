@@ -65,8 +65,8 @@ class SetLabel(NamedTuple):
         if self.name == DEVELOPMENT_NAME:
             return "Scenarios of the development set, on which controllers and agents may be chosen: no test results."
         if self.name == TEST_NAME:
-            since = "Policies were trained anew since then; nothing was chosen on it (docs/benchmark/protocol.md, at its end)"
-            return f"Scenarios of the test set, drawn once. {since}."
+            since = "Policies were trained anew since then; nothing was chosen on it (docs/benchmark/protocol.md)."
+            return f"Scenarios of the test set, drawn once. {since}"
         return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
 
     def note_with(self, own: Sequence[str]) -> str:

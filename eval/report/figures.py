@@ -21,7 +21,7 @@ from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 from scipy.signal import detrend
 from scipy.signal.windows import hann
 
-from baselines.models.modes import held_mode
+from baselines.models.linear import held_mode
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording

@@ -156,7 +156,7 @@ def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes:
     stayed = run.stayed
     if not stayed.any():
         raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
-    true = run.in_turn(truth(run, HOLD))[:, stayed]
+    true = truth(run, HOLD)[:, stayed]
     return {
         name: score([Estimate(*(part[stayed] for part in estimate)) for estimate in estimates], true)
         for name, estimates in watched.estimates.items()

@@ -145,7 +145,7 @@ class TestDataSheet:
 
 @pytest.mark.parametrize("name", TUNABLE)
 def test_gains_lie_within_their_range(name: str):
-    kind = TUNABLE[name].gains
+    kind = TUNABLE[name].gains_type
     for gain in fields(kind):
         assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
         for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):

@@ -66,7 +66,7 @@ def test_change_is_that_of_the_lifted_least_squares(seed: int, steps: int):
     weights = Weights(rng.uniform(0.1, 3, (steps, 4)), rng.uniform(0, 2, steps), float(rng.uniform(0.01, 2)))
     change, gain, _ = optimal_change(trial, weights, np.cumsum(before))
     expected = np.linalg.lstsq(*stacked(trial, weights, before), rcond=None)[0]
-    np.testing.assert_allclose(followed(trial, change, gain)[0], expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(followed(trial, change, gain), expected, rtol=1e-7, atol=1e-9)
     k, dx, last = steps // 2, rng.normal(0, 1, 4), rng.normal()
     rest, free = Trial(*(part[k:].copy() for part in trial)), dx
     for j in range(steps - k):
@@ -84,7 +84,7 @@ def test_limited_changes_end_at_the_bounded_least_squares():
     matrix, errors = lifted(trial), trial.errors.ravel()
     for _ in range(50):
         now = trial._replace(errors=(errors + matrix @ torque).reshape(20, 4))
-        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)[:2])[0], -limit, limit)
+        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)[:2]), -limit, limit)
     rows, wanted = stacked(trial, weights, np.zeros(20))
     expected = lsq_linear(rows[:-20], wanted[:-20], (-limit, limit), method="bvls").x
     assert 3 < (np.abs(expected) == limit).sum() < 17

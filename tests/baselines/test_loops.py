@@ -50,8 +50,7 @@ def frictionless(name: str, params: ArmParams) -> Any:
     if name == "adaptive":
         gains = tuned(name, AdaptiveGains)
         return AdaptiveController(gains, params, replace(gains.uncertainty(), ripple=0.0))
-    make: Any = TUNABLE[name].controller
-    return make(tuned(name, TUNABLE[name].gains), params=params)
+    return TUNABLE[name](tuned(name, TUNABLE[name].gains_type), params=params)
 
 
 def resting_observation(joint: float, state: Floats, before: float, last_command: float) -> Any:
@@ -110,8 +109,7 @@ def test_a_controller_responds_to_a_pulse_as_its_linear_loop(name: str, latency:
 
 @cache
 def untuned(name: str) -> Any:
-    kind = TUNABLE[name]
-    return kind.controller(kind.gains())
+    return TUNABLE[name]()
 
 
 @cache

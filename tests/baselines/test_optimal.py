@@ -14,8 +14,7 @@ from scipy.optimize import lsq_linear
 from baselines import CONTROLLERS
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, linear_arm
+from baselines.models.linear import ANGLES, dead_time, linear_arm
 from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.lqg import feedback_gains

@@ -13,7 +13,7 @@ from refusals import refused
 from baselines import tuned_controller
 from baselines.models.linear import at_angle, linear_arm
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, planned, planned_torque, problem_of
+from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, planned, problem_of, torque_of_plan
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.planning.task_plan import PlanRoom, Start, _cost, plan_task
 from baselines.yardsticks.clairvoyant import Replay, optimum, shift_optimum
@@ -72,14 +72,14 @@ class TestPlan:
         assert linear_run(None, gains=0.8)[0] > best
 
     def test_is_read_between_samples(self):
-        plans = [planned(MOVE[0], ArmParams().row(), WEIGHTS)]
-        x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
+        rows = planned(MOVE[0], ArmParams().row(), WEIGHTS)
+        x, last = np.array([GEAR * 0.4, 30.0, 0.01, 0.0]), 0.05
 
         def torque(time: float) -> float:
-            return float(planned_torque(plans, np.array([time]), x, last)[0])
+            return torque_of_plan(rows, time, x, last)
 
-        row = plans[0][100]
-        assert torque(100.0) == pytest.approx(row[9] - row[4:9] @ np.append(x[0] - row[:4], last), rel=1e-12)
+        row = rows[100]
+        assert torque(100.0) == pytest.approx(row[9] - row[4:9] @ np.append(x - row[:4], last), rel=1e-12)
         assert torque(100.5) == pytest.approx(0.5 * (torque(100.0) + torque(101.0)), abs=1e-3)
         assert torque(1199.0) == torque(1300.0)
 
@@ -104,7 +104,7 @@ def simulated_costs(plans) -> np.ndarray:
     simulation, states, tasks = ArmSimulation([ARM] * len(MOVES)), RESTS, sampled_moves(MOVES)
     costs, last = np.zeros(len(MOVES)), np.zeros(len(MOVES))
     for k in range(1000):
-        torque = planned_torque(plans, np.full(len(MOVES), float(k)), states, last)
+        torque = [torque_of_plan(*of, float(k), x, before) for *of, x, before in zip(plans, states, last, strict=True)]
         torque = np.clip(torque, -ARM.torque_limit, ARM.torque_limit)
         states = simulation.advance(states, torque)
         for i in range(len(MOVES)):

@@ -13,10 +13,7 @@ from scipy.signal import lsim
 
 from baselines import TUNABLE, rigid_controller
 from baselines.loops.laws import law_of
-from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES
-from baselines.models.modes import Mode, held_mode
-from baselines.models.ramps import Ramps, motion_at
+from baselines.models.linear import ANGLES, Mode, dead_time, held_mode
 from baselines.models.rigid_arm import inertia_at
 from baselines.reading import read
 from baselines.servo import shaping
@@ -24,7 +21,7 @@ from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedb
 from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, DisturbanceGains
 from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
 from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
-from baselines.servo.pid import INTEGRAL, MOST_RAMPS
+from baselines.servo.pid import INTEGRAL, MOST_RAMPS, Ramps, motion_at
 from baselines.servo.shaping import ExtraInsensitiveGains
 from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
@@ -159,7 +156,7 @@ def along(ramps: Ramps, start: float, time: float, smooth: bool = False) -> Refe
 
 def shaper(kind: str, mode: Mode, vibration: float) -> tuple[np.ndarray, np.ndarray]:
     gains = ExtraInsensitiveGains(vibration=vibration)
-    made: Any = TUNABLE[kind].controller(gains)
+    made = TUNABLE[kind](gains)
     shares = np.array(made.shares())
     ramps = Ramps(*np.zeros((3, len(shares))))
     shaping.write_impulses(shares, mode, 0, ramps)
@@ -191,7 +188,7 @@ class TestRamps:
     @pytest.mark.parametrize("kind", ["smooth", *SHAPERS])
     def test_of_drawn_moves_are_causal_and_reach_the_goal_a_smooth_move_in_the_tasks_time(self, kind: Any):
         env, smooth = BeltArmVectorEnv(60, randomization="ideal"), kind == "smooth"
-        controller = TUNABLE[kind].controller()
+        controller = TUNABLE[kind]()
         for move in read(env.reset(seed=5_000_000)[0], NOMINAL).move:
             ramps, (start, goal, duration, _) = planned(controller, move), move
             end = duration if smooth else 1.8
@@ -238,7 +235,7 @@ class TestShaper:
         params = ArmParams(arm_inertia=0.05, arm_inertia_swing=0.0, belt_damping_ratio=0.0)
         move, time, w = np.array([0.2, 1.2, 0.9, 0.2]), np.arange(0.0, 1.8, 1e-4), math.sqrt(33 / 0.05)
         gains = ExtraInsensitiveGains(vibration=0.0) if kind == "ei" else None
-        ramps = planned(TUNABLE[kind].controller(gains, params), move)
+        ramps = planned(TUNABLE[kind](gains, params), move)
         system = ([[0, w], [-w, 0]], [[0], [w]], np.eye(2), np.zeros((2, 1)))  # theta_s'' + w^2 theta_s = theta_1''
         _, _, shaped = lsim(system, [along(ramps, 0.2, t).acceleration for t in time], time)
         task = [reference_at(TRAPEZOID, MoveShape(*move), t).acceleration for t in time]

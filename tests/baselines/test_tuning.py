@@ -20,7 +20,7 @@ from waiting import until
 
 from baselines import TUNABLE, PaperController, PaperGains, gains
 from baselines.engines.parallel import Channel
-from baselines.gains import FILE, Gains, Tunable, read_file, tunable, tuned, write_entry
+from baselines.gains import FILE, Gains, read_file, tunable, tuned, write_entry
 from baselines.loops.condition import MarginCondition
 from baselines.servo.paper import RetunedController, RetunedGains
 from baselines.tune import main
@@ -44,7 +44,7 @@ class OneGain(Gains):
 class Counting(PaperController):
     """The paper's controller, counting the steps of single arms that it sees."""
 
-    steps = 0
+    gains_type, steps = OneGain, 0
 
     def __init__(self, gains: OneGain) -> None:
         super().__init__(gains=PaperGains(torsion_speed=gains.vibration, angle=400, speed=40))
@@ -80,18 +80,16 @@ class TwoGains(Gains):
 class Watched(RetunedController):
     """The retuned controller with two gains free, keeping all gains that are simulated."""
 
+    gains_type = TwoGains
     simulated: set[TwoGains] = set()  # noqa: RUF012
 
-    def __init__(self, gains: TwoGains) -> None:
+    def __init__(self, gains: TwoGains = TwoGains()) -> None:
         super().__init__(RetunedGains(angle=gains.angle, torsion_speed=gains.torsion_speed, speed=30.0))
         self.free = gains
 
     def predict(self, *arguments: Any, **named: Any) -> Any:
         Watched.simulated.add(self.free)
         return super().predict(*arguments, **named)
-
-
-KIND, GUARDED = Tunable(Counting, OneGain), Tunable(Watched, TwoGains)
 
 
 def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
@@ -109,7 +107,7 @@ def test_a_search_keeps_its_budget_and_helps(tmp_path: Path):
     moves, reported = 2, list[SearchProgress]()
     budget = 3 * moves * MIN_BUDGET + 1
     Counting.steps = 0
-    first = search(KIND, Terms(budget, 3, moves), tmp_path / "journal", Channel(reported.append))
+    first = search(Counting, Terms(budget, 3, moves), tmp_path / "journal", Channel(reported.append))
     assert first.steps == Counting.steps == reported[-1].steps <= budget
     assert split_budget(budget, moves)[0] - RUNGS[-1] * moves * EPISODE_STEPS < reported[-1].steps
     assert first.trials == reported[-1].trials and first.failed == 0
@@ -126,30 +124,30 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     journal, budget = tmp_path / "journal", 4 * MIN_BUDGET
     for calls in (0, 2, 3):
         with pytest.raises(KeyboardInterrupt):
-            search(KIND, Terms(budget), journal, interrupted_after(calls, []))
+            search(Counting, Terms(budget), journal, interrupted_after(calls, []))
     Counting.steps = 0
-    result = search(KIND, Terms(budget), journal)
+    result = search(Counting, Terms(budget), journal)
     assert result.steps <= budget
     assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
-    search(KIND, Terms(budget + MIN_BUDGET), tmp_path / "whole")
+    search(Counting, Terms(budget + MIN_BUDGET), tmp_path / "whole")
     ours, theirs = (finished(OneGain, path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
-    assert search(KIND, Terms(budget), journal) == result and Counting.steps == 0
+    assert search(Counting, Terms(budget), journal) == result and Counting.steps == 0
     for other, seed, words in ((MIN_BUDGET, 0, "--budget"), (budget, 1, "seed 0, not 1")):
-        refused(ValueError, (words,), partial(search, KIND, Terms(other, seed), journal))
+        refused(ValueError, (words,), partial(search, Counting, Terms(other, seed), journal))
 
 
 def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path):
     journal = tmp_path / "journal"
-    result = search(KIND, Terms(MIN_BUDGET), journal)
+    result = search(Counting, Terms(MIN_BUDGET), journal)
     written = journal.read_bytes()
     for end in (len(written) - 1, written.index(b"\n") + 100, written.index(b"\n") - 1):
         journal.write_bytes(written[:end])
-        assert all(search(KIND, Terms(MIN_BUDGET), journal).gains == result.gains for _ in range(2))
+        assert all(search(Counting, Terms(MIN_BUDGET), journal).gains == result.gains for _ in range(2))
     for damage in ("notes of somebody", "not a journal\n" * 2):
         journal.write_text(damage)
-        refused(ValueError, (str(journal), "damaged"), lambda: search(KIND, Terms(MIN_BUDGET), journal))
+        refused(ValueError, (str(journal), "damaged"), lambda: search(Counting, Terms(MIN_BUDGET), journal))
         assert journal.read_text() == damage
 
 
@@ -158,7 +156,7 @@ def test_journal_of_another_search_is_left_alone(tmp_path: Path):
     with own(journal):
         journal.write_text("theirs")
         optuna_lock.write_text("")
-        for attempt in (lambda: search(KIND, Terms(MIN_BUDGET), journal), lambda: begin_anew(journal)):
+        for attempt in (lambda: search(Counting, Terms(MIN_BUDGET), journal), lambda: begin_anew(journal)):
             refused(ValueError, ("another process", str(journal)), attempt)
         assert journal.read_text() == "theirs" and optuna_lock.exists()
     begin_anew(journal)
@@ -166,14 +164,14 @@ def test_journal_of_another_search_is_left_alone(tmp_path: Path):
 
 
 def test_controllers_that_fail_are_survived_but_not_untuned(tmp_path: Path):
-    actual = search(Tunable(Fragile, OneGain), Terms(4 * MIN_BUDGET), tmp_path / "journal")
+    actual = search(Fragile, Terms(4 * MIN_BUDGET), tmp_path / "journal")
     assert actual.failed > 0 and 0.03 <= actual.gains["vibration"] <= 0.3
     assert actual.steps <= 4 * MIN_BUDGET
     for kind, condition, words in (
-        (Tunable(Fragile, BadGain), None, ("untuned gains", "no solution")),
-        (GUARDED, MarginCondition(modulus=0.9), ("modulus=", "TwoGains")),
+        (type("Bad", (Fragile,), {"gains_type": BadGain}), None, ("untuned gains", "no solution")),
+        (Watched, MarginCondition(modulus=0.9), ("modulus=", "TwoGains")),
     ):
-        path = tmp_path / kind.gains.__name__
+        path = tmp_path / kind.__name__
         refused(ValueError, words, partial(search, kind, Terms(MIN_BUDGET, condition=condition), path))
 
 
@@ -182,15 +180,15 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
     Watched.simulated.clear()
     terms = Terms(4 * MIN_BUDGET, condition=condition)
     with pytest.raises(KeyboardInterrupt):
-        search(GUARDED, terms, journal, interrupted_after(11, progress))
-    result = search(GUARDED, terms, journal)
+        search(Watched, terms, journal, interrupted_after(11, progress))
+    result = search(Watched, terms, journal)
     assert result.refused > 0 and result.steps <= terms.budget
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
     assert TwoGains(**result.gains) in Watched.simulated
     assert {condition.shortfall(Watched(gains)) for gains in Watched.simulated} == {0.0}
-    assert search(GUARDED, terms, journal) == result
+    assert search(Watched, terms, journal) == result
     for other in (None, MarginCondition(modulus=0.3)):
-        refused(ValueError, ("margins",), partial(search, GUARDED, terms._replace(condition=other), journal))
+        refused(ValueError, ("margins",), partial(search, Watched, terms._replace(condition=other), journal))
 
 
 def test_laws_of_the_race():
