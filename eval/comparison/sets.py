@@ -1,8 +1,7 @@
 """Sets of scenarios: for development, for the test, and fresh ones for anybody.
 
     development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
-    test          drawn once, from seeds that the hash of the protocol's commit chooses, and kept in
-                  `eval/comparison/scenarios.json`; nothing is chosen on it
+    test          drawn once, from seeds of the protocol's commit, into `scenarios.json`; nothing is chosen on it
     seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses; the only one with
                   further scenarios, as many as anybody wants
 
@@ -65,8 +64,7 @@ class SetLabel(NamedTuple):
         if self.name == DEVELOPMENT_NAME:
             return "Scenarios of the development set, on which controllers and agents may be chosen: no test results."
         if self.name == TEST_NAME:
-            since = "Policies were trained anew since then; nothing was chosen on it (docs/benchmark/protocol.md)."
-            return f"Scenarios of the test set, drawn once. {since}"
+            return "Scenarios of the test set, drawn once. Nothing was chosen on it (docs/benchmark/protocol.md)."
         return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
 
     def note_with(self, own: Sequence[str]) -> str:

@@ -149,9 +149,8 @@ def tables(data: Data) -> Data:
 def by_factor(data: Data) -> dict[str, list[Data]]:
     """Variants by factor; the first of each is the run that its variants are compared with."""
     by_name = {variant["name"]: variant for variant in data["variants"]}
-    grouped: dict[str, list[Data]] = {factor: [] for factor in FACTORS}
-    for variant in data["variants"][1:]:
-        grouped[variant["factor"]].append(variant)
+    of = {v["name"]: FACTORS[v["factor"]] for v in data["variants"][1:]}
+    grouped = {name: [by_name[v] for v in of if of[v] is factor] for name, factor in FACTORS.items()}
     return {factor: [by_name[FACTORS[factor].against], *group] for factor, group in grouped.items() if group}
 
 
