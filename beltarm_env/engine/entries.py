@@ -89,7 +89,7 @@ class Entry:
     text: str
     returns: str
     result: Any  # as `made`
-    read: dict[tuple[str, str], Any] | None  # names of modules, with what they stood for; None: not all is told
+    read: dict[tuple[str, str], tuple[str, str]] | None  # see `Program`; None: not all is told
 
 
 def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: bool = False) -> Entry:

@@ -97,6 +97,7 @@ def _copy_of(function: Any, constants: dict[str, float], made: dict[Any, Any]) -
     if plain not in made:
         made[plain] = function
         known = {name: plain.__globals__[name] for name in plain.__code__.co_names if name in plain.__globals__}
+        constants = {**getattr(plain, "constants", {}), **constants}
         copies = {name: constants.get(name, _copy_of(value, constants, made)) for name, value in known.items()}
         if any(copies[name] is not value for name, value in known.items()):
             read = {**plain.__globals__, **copies}

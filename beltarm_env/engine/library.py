@@ -74,12 +74,12 @@ def words_of(function: Callable[..., Any], types: Types, checked: bool) -> list[
     """Words for a kernel and types; None if they do not tell it from others."""
     spec, constants = types
     names = [shown(one, codes=False) for one in (function, *constants)]
-    return [names, getattr(function, "constants", None), spec, checked] if all(names) else None
+    return [names, spec, checked] if all(names) else None
 
 
 def note_for(entry: Entry, file: str, codes: bool = True) -> dict[str, Any]:
     """Write what an object needs to be used, and what it was made of; without codes for all versions of Python."""
-    read = [[*place, shown(value, codes)] for place, value in (entry.read or {}).items()]
+    read = [[*place, words[not codes]] for place, words in (entry.read or {}).items()]
     return {"object": file, "returns": entry.returns, "result": _as_data(entry.result), "read": read}
 
 
@@ -113,9 +113,10 @@ def _translator() -> str:
 
 def _read(note: Path | None) -> dict[str, Any] | None:
     if note is not None:
-        with suppress(OSError, ValueError):
+        with suppress(Exception):  # of a file that is damaged
             found = json.loads(note.read_text())
-            return found if _holds(found, codes=True) else None
+            _from_data(found["result"])
+            return found if _holds(found, codes=True) and isinstance(found["object"] + found["returns"], str) else None
     return None
 
 

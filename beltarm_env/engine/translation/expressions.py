@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import inspect
 import re
 from dataclasses import replace
 from types import ModuleType
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from beltarm_env.engine.translation import arrays
+from beltarm_env.engine.translation.known import Missing, constants_of
 from beltarm_env.engine.translation.numbers import NUMBERS, bare, binary, cast, condition, scalar, unary
 from beltarm_env.engine.translation.scope import PREFIX, Scope
 from beltarm_env.engine.translation.types import (
@@ -56,10 +58,14 @@ class Expressions(Scope):
         if node.id in self.assigned:
             raise TranslationError(f"{node.id} is used before it is set")
         if node.id in self.outside:
-            value, constants = self.outside[node.id], getattr(self.source, "constants", ())
-            self.program.note(self.source.__module__, node.id, value, constants)
+            value, constants = self.outside[node.id], constants_of(self.source)
+            plain = getattr(value, "py_func", value)
+            copied = constants and constants_of(plain) == constants  # with the same constants, which are told already
+            read = inspect.unwrap(plain) if copied else value
+            self.program.note(self.source.__module__, node.id, read, dict(constants))
             return Const(value, node.id)
         if hasattr(builtins, node.id):
+            self.program.note(self.source.__module__, node.id, Missing)
             return Const(getattr(builtins, node.id), node.id)
         raise TranslationError(f"unknown name {node.id!r}")
 
@@ -75,6 +81,8 @@ class Expressions(Scope):
                 self.program.note(owner.value.__name__, node.attr, value)
             elif isinstance(owner.value, type):
                 self.program.note(owner.value.__module__, f"{owner.value.__qualname__}.{node.attr}", value)
+            elif node.attr not in getattr(owner.value, "_fields", ()):
+                self.program.told = False
             return Const(value, f"{prefix}{node.attr}")
         if isinstance(owner, Array) and node.attr == "shape":
             return Group(None, tuple((f"f{k}", arrays.sized(size)) for k, size in enumerate(owner.shape)))

@@ -57,7 +57,7 @@ class Program:
         self.functions: dict[Any, tuple[str, Any, Any, Const | None]] = {}  # C name, type, span, known value
         self._texts: dict[str, str] = {}  # of functions, by name
         self._roots: set[str] = set()  # functions that none of the others calls
-        self.read: dict[tuple[str, str], Any] = {}  # module, name: what was read
+        self.read: dict[tuple[str, str], tuple[str, str]] = {}  # module, name: what was read, as `shown`
         self.told = True  # whether that is all that the program is made of, beside arguments
         self.structs: dict[RecordType, str] = {}
         self.struct_texts: list[str] = []
@@ -81,9 +81,9 @@ class Program:
 
     def note(self, module: str, name: str, value: Any, constants: Collection[str] = ()) -> None:
         """Note what a name of a module stood for, unless it is one of the constants that the kernel has instead."""
-        words = shown(value)
-        if words and words == shown(named(module, name)):
-            self.read[module, name] = value
+        words = shown(value), shown(value, codes=False)
+        if words[0] and words[0] == shown(named(module, name)):
+            self.told &= self.read.setdefault((module, name), words) == words
         elif name not in constants:
             self.told = False
 
@@ -237,7 +237,7 @@ class Program:
         return self._written[text], body.returned, body.span, body.known
 
     def _tree(self, function: Callable[..., Any]) -> ast.FunctionDef:
-        self.note(function.__module__, function.__qualname__, function)
+        self.note(function.__module__, function.__qualname__, inspect.unwrap(function))
         return tree_of(function)
 
     def _body(self, function: Callable[..., Any], tree: ast.FunctionDef, kinds: dict[str, Any]) -> Function:

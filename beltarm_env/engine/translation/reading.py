@@ -15,7 +15,6 @@ from beltarm_env.engine.translation.known import made_of
 from beltarm_env.engine.translation.types import TranslationError
 
 
-@cache  # a function that many call is translated many times
 def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
     """Parse a kernel.
 
@@ -23,6 +22,11 @@ def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
         TranslationError: If it has no source text, or one that was edited after it was loaded, or takes any number of
             arguments.
     """
+    return _tree_of(function, function.__code__)
+
+
+@cache  # a function that many call is translated many times
+def _tree_of(function: Callable[..., Any], _: CodeType) -> ast.FunctionDef:
     if inspect.unwrap(function).__code__ is not function.__code__:
         raise TranslationError(f"{place(function)} is wrapped by a decorator, which would be left out")
     try:
