@@ -174,7 +174,7 @@ def test_a_memory_tells_apart_what_looks_the_same(width: int, segment: int, reme
     inputs = torch.zeros(10, 2, 27)
     inputs[0, 0, 3] = inputs[..., 25] = 1.0
     labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
-    fit = {"rounds": 1, "epochs": 150, "learning_rate": 0.03}
+    fit = {"rounds": 1, "epochs": 300, "learning_rate": 0.02}
     learner = Student(tiny("student", Path("unused"), **fit, gru_width=width, segment=segment))
     learner.advice = [Advice(inputs.half(), labels, torch.ones(10, 2), torch.zeros(10, 2, len(NAMES)))]
     learner.fit()

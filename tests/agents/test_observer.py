@@ -158,7 +158,6 @@ class TestRun:
 
     def test_goes_on_with_the_episodes_that_it_has(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         config = self.config(tmp_path)
-        monkeypatch.setattr(running, "_MOVES", 1)
         with monkeypatch.context() as patch:
             patch.setattr(running, "fit", Mock(side_effect=KeyboardInterrupt))
             refused(KeyboardInterrupt, ("the same command continues",), lambda: running.run(config))

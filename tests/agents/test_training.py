@@ -83,7 +83,7 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, whole_of: Any, tmp_
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[News]]:
     """Folder of a run of PPO with 8 arms and 128 agent steps, to be copied, and what it has reported."""
     folder, reports = tmp_path_factory.mktemp("finished") / "run", list[News]()
-    run(tiny("ppo", folder, total_steps=128, knowledge="none"), report=reports.append)
+    run(tiny("ppo", folder, total_steps=128), report=reports.append)
     return folder, reports
 
 
@@ -135,7 +135,7 @@ def copied(finished: Any, tmp_path: Path) -> Path:
 
 
 def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
-    return tiny("ppo", folder, **{"total_steps": 128, "resume": True, "knowledge": "none", **options})
+    return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
 
 
 def test_a_run_is_not_mixed_with_another(copied: Path):
@@ -209,7 +209,7 @@ def test_checkpoints_of_another_version_are_not_given_up(change: Any, words: str
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    config = tiny("ppo", tmp_path, total_steps=192, validation_every=64, knowledge="none")
+    config = tiny("ppo", tmp_path, total_steps=192, validation_every=64)
     replace_file, saved = os.replace, []
 
     def fill_up(source: Any, target: Any) -> None:
@@ -248,7 +248,7 @@ def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(
 
 def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, tmp_path: Path):
     """With the very options that it was begun with, which are not those of resuming; what is half written goes."""
-    config = resumed(tmp_path / "run", resume=False)
+    config = tiny("ppo", tmp_path / "run", total_steps=128)
     refused(Interrupted, ("at 64 steps",), lambda: train(config, Channel(stop=StopAfter(1)), "python train/ppo.py"))
     for half in (".checkpoint-half.pkl", "best/.policy-half.safetensors", ".config-half.json"):
         (config.out / half).write_bytes(b"\x80\x05half")

@@ -55,13 +55,16 @@ def test_every_controller_drives_an_arm_the_same_way_alone_and_in_batches(name: 
     assert_same_in_batches(make, SEED, **options)
 
 
-@pytest.mark.parametrize(("make", "options"), CASES.values(), ids=CASES)
-def test_every_controller_keeps_the_protocol_of_a_users_own(make: Any, options: Any, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(check, "drive", partial(check.drive, sensors=options.get("sensors", "encoder")))
+@pytest.mark.parametrize("name", WITH_ACCELEROMETER)
+def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_episode(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
+    """By the checks of a user's controller, as for the encoder alone in `tests/eval/test_check_controller.py`."""
+    monkeypatch.setattr(check, "drive", partial(check.drive, sensors="accelerometer"))
     monkeypatch.setattr(check, "_STEPS", STEPS)
-    known = check.record(make())
-    for holds in (check._repeats, check._alone, check._afresh, check._in_the_state):
-        assert holds(make, known) == "bit for bit"
+    known = check.record(WITH_ACCELEROMETER[name]())
+    for holds in (check._afresh, check._in_the_state):
+        assert holds(WITH_ACCELEROMETER[name], known) == "bit for bit"
 
 
 @pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])

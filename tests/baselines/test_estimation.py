@@ -288,7 +288,7 @@ class TestParts:
                 return super().law(reading._replace(holds_part=np.ones(len(begins))), begins, memory)
 
         gains, ranges = tuned("adaptive", AdaptiveGains), {**TRAIN_RANGES, **PRESLIDING, "payload_mass": PART_MASS}
-        settings: dict[str, Any] = {"seed": TRAIN_SEED, "moves": 2, "randomization": ranges}
+        settings: dict[str, Any] = {"seed": TRAIN_SEED, "moves": 4, "randomization": ranges}
         costs = [rollout(kind(gains), 10, **settings).cost[10:].mean() for kind in (AdaptiveController, Forgetful)]
         assert costs[0] < 0.9 * costs[1]
 

@@ -121,7 +121,7 @@ def usual(name: str) -> Any:
 class TestMargins:
     def test_are_those_of_the_frequency_response(self, name: str):
         loop = loop_at(usual(name), 30, CORNERS["payload, soft"])
-        actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 2500)
+        actual, turns = margins(loop), np.geomspace(1e-4, 0.9999 * math.pi, 8000)
         law, plant = (np.asarray(as_control(each)(np.exp(1j * turns))) for each in loop)
         values = -law * plant
         assert actual.modulus == pytest.approx(np.abs(1 + values).min(), rel=2e-3)

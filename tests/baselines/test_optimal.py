@@ -19,6 +19,7 @@ from baselines.optimal import robust
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.lqg import feedback_gains
 from baselines.optimal.mpc import _set_up, horizon
+from baselines.optimal.robust import RobustController
 from baselines.planning.plan import GAIN, TORQUE, Weights, planned
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -177,7 +178,7 @@ NOISE, LOUD = Noise(5e-3, 0.3, 1e-3), Noise(0.014, 1.7, 0.01)
 class TestRobust:
     @pytest.mark.parametrize("k", [0, 20, 45])
     def test_loops_have_the_poles_of_the_law_on_each_arm(self, k: int):
-        controller = CONTROLLERS["robust"]()
+        controller = RobustController()
         loops = robust.loops_at(DESIGN, k, controller.gains.weights(), controller.gains.noise(), 0.1)
         for arm, matrix in zip(robust.arms_around(DESIGN), robust.closed(controller.feedback()[k], loops), strict=True):
             expected, actual = closed_poles(loop_at(controller, k, arm)), np.linalg.eigvals(matrix)

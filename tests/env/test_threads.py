@@ -12,7 +12,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from episodes import torques_of
 
 from agents.policy.bundle import load_controller
 from beltarm_env import BeltArmVectorEnv
@@ -20,6 +19,7 @@ from beltarm_env.engine import blocks, compiled, in_threads, threads
 from beltarm_env.engine.blocks import none_taken, take_block
 from beltarm_env.engine.threads import each_in_threads, in_python_threads
 from beltarm_env.engine.words import Integers
+from beltarm_env.rollout import rollout
 
 ARMS = 700  # six blocks
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
@@ -67,12 +67,12 @@ class TestResults:
             assert pool.apply_async(played, (env,)).get(timeout=60) == alone
 
     def test_a_policy_drives_arms_the_same_whatever_their_number(self, monkeypatch: pytest.MonkeyPatch):
-        taken = []
+        states = []
         for number in ("1", "3"):
             monkeypatch.setenv("OMP_NUM_THREADS", number)
             controller = load_controller(POLICIES / "student" / "seed0")
-            taken.append(torques_of(controller, 3, 140, randomization="train").tobytes())
-        assert taken[0] == taken[1]
+            states.append(rollout(controller, 140, seed=3, randomization="train").state.tobytes())
+        assert states[0] == states[1]
 
 
 def test_what_tells_no_number_is_a_thread_for_each_core(monkeypatch: pytest.MonkeyPatch):

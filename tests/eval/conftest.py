@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from eval.comparison import methods, sets
+from eval.comparison import sets
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -13,5 +13,4 @@ def read_once() -> Iterator[None]:
     """Read each file of scenarios once: to read one and check its hashes takes longer than a command's mistake."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sets, "load", cache(sets.load))
-        patch.setattr(methods, "read_spec", cache(methods.read_spec))
         yield

@@ -5,7 +5,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from commands import mistake, stopped
 from jsonschema import Draft202012Validator
 from studies import draw_alone
 
-import eval.comparison.run
 from agents.policy.bundle import POLICIES
 from beltarm_env.metrics import TORQUES
 from eval import compare
@@ -135,13 +134,6 @@ def test_results_are_verified(claim: Path):
     assert {path: path.read_bytes() for path in claim.iterdir() if path.is_file()} == before
 
 
-@pytest.fixture(scope="module")
-def once() -> Callable[..., Any]:
-    """What is measured again for the first claim, for all others too."""
-    kept, really = list[Any](), eval.comparison.run.compare
-    return lambda *given, **named: kept[0] if kept else kept.append(really(*given, **named)) or kept[0]
-
-
 def scale(numbers: dict[str, Any], name: str, factor: float) -> None:
     numbers[name] *= factor
 
@@ -163,10 +155,7 @@ def scale(numbers: dict[str, Any], name: str, factor: float) -> None:
         (lambda _, content: content.update(verdict=["Mine is better."]), 0, "its verdict"),
     ],
 )
-def test_the_first_claim_that_differs_is_named(
-    change: Any, code: int, named: str, claim: Path, once: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(eval.comparison.run, "compare", once)
+def test_the_first_claim_that_differs_is_named(change: Any, code: int, named: str, claim: Path, tmp_path: Path):
     content = read_results(claim / "results.json")
     content["provenance"]["command"] = f"python eval/compare.py --add={claim.parent / 'mine.py'}:Mine"
     change(content["rows"][0], content)

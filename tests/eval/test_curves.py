@@ -16,7 +16,7 @@ from eval.report.curves import find_curves
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     for seed in range(2):
-        run(tiny("ppo", folder / f"seed{seed}", seed=seed, total_steps=64, validation_every=64, knowledge="none"))
+        run(tiny("ppo", folder / f"seed{seed}", seed=seed, total_steps=64, validation_every=64))
     return folder
 
 

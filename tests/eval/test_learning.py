@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,32 +11,25 @@ from refusals import refused
 from studies import hurry, try_study
 
 from agents.learners.registry import ALGORITHMS
-from agents.learners.student import StudentConfig
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import _frame, learning
-from eval.studies.learning.runs import VARIANTS, Run, Variant
-
-ONE = Variant("default", "default", "default", ("--moves", "1"))
+from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Run, dict[str, Any]]]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
     """The run of a first try of the study, and its result; `test_curves.py` computes levels of curves."""
     folder, kept = tmp_path_factory.mktemp("learning"), _frame.read_data(_frame.RESULTS / "learning")["shipped_levels"]
     with pytest.MonkeyPatch.context() as patch:
         hurry(patch)
-        for name, value in {"levels": lambda _: kept, "DEFAULT": ONE, "VARIANTS": (ONE,)}.items():
-            patch.setattr(learning, name, value)
-        patch.setattr(learning.bins, "DIVIDED", {"payload_mass": learning.bins.DIVIDED["payload_mass"]})
-        patch.setattr(learning.limits, "_FIT", replace(learning.limits._FIT, epochs=1, moves=1))
-        patch.setattr(StudentConfig, "moves", 1)
+        patch.setattr(learning, "levels", lambda _: kept)
         try_study("learning", folder)
-        run = Run(ONE, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
-        result = run.finished(4)
-        assert result is not None
-        yield run, result
+    run = Run(DEFAULT, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
+    result = run.finished(4)
+    assert result is not None
+    return run, result
 
 
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
@@ -54,9 +45,9 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
 
 def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path):
     run, result = done
-    assert result["curve"][-1][0] == 2 * 2 * EPISODE_STEPS
+    assert result["curve"][-1][0] == 2 * 4 * EPISODE_STEPS
     shutil.copytree(run.runs, tmp_path / "runs")
-    copied = Run(ONE, 0, 5_000, tmp_path / "runs", quick=True)
+    copied = Run(DEFAULT, 0, 5_000, tmp_path / "runs", quick=True)
     (copied.folder / "ablation.json").unlink()
     again = copied.finish(4)
     assert again["scores"] == result["scores"] and result["scores"]["left_percent"] == 0
@@ -66,9 +57,9 @@ def test_runs_are_read_or_go_on(done: tuple[Run, dict[str, Any]], tmp_path: Path
 
 def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict[str, Any]], tmp_path: Path):
     shutil.copytree(done[0].runs, tmp_path / "runs")
-    run = Run(ONE, 0, 5_000, tmp_path / "runs", quick=True)
+    run = Run(DEFAULT, 0, 5_000, tmp_path / "runs", quick=True)
     kept = json.loads((record := run.folder / "ablation.json").read_text())
-    for other, arms in ((Run(ONE, 0, 50_000, run.runs, quick=True), 4), (run, 5)):
+    for other, arms in ((Run(DEFAULT, 0, 50_000, run.runs, quick=True), 4), (run, 5)):
         refused(ValueError, ("--runs",), lambda other=other, arms=arms: other.finished(arms))
     for wrong in ([], {}):
         record.write_text(json.dumps(wrong))

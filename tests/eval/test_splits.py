@@ -157,7 +157,6 @@ def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, 
 # The frozen test set
 
 
-FROZEN = ("nominal", "randomized", "sensing")
 MADE_UP = "00c0ffee" + "0" * 32
 
 
@@ -174,7 +173,7 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def few_drawn(name: str, seeds: SeedRange) -> ScenarioSet:
-    return make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in FROZEN})
+    return make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in SPLITS})
 
 
 def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -9,11 +9,10 @@ import pytest
 from commands import stopped
 from matplotlib.figure import Figure
 
-from baselines.yardsticks import clairvoyant
 from eval import study
 from eval.comparison import provenance
 from eval.comparison.methods import shipped_policies
-from eval.studies import _frame, iterative, steps
+from eval.studies import _frame, steps
 from eval.studies.loops import costs
 
 
@@ -48,8 +47,4 @@ def hurry(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(steps, "ASIDE", (steps.ASIDE[0], learned))
     patch.setattr(steps, "TWO_LINKS", (steps.TWO_LINKS[0], learned, *steps.TWO_LINKS[2:]))
     patch.setattr(steps, "GUESSES", steps.GUESSES[-1:])
-    patch.setattr(iterative, "KINDS", {"randomized": iterative.KINDS["randomized"]})
-    patch.setattr(clairvoyant, "_SOFTNESS", clairvoyant._SOFTNESS[:1])
-    patch.setattr(clairvoyant, "_PATIENCE", 1)
-    patch.setattr(clairvoyant, "_WORTHWHILE", 1.0)
     patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)

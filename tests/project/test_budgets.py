@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
-LINES = {"eval": 13_000, "tests": 16_100}
+LINES = {"eval": 13_000, "tests": 16_000}
 COMMANDS, MODULES = 11, 15
 DOCS = 6e6  # bytes of tracked files
 

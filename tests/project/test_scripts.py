@@ -16,18 +16,18 @@ from pathlib import Path
 import pytest
 from commands import mistake, stopped
 from trainings import SHORT
+from waiting import until
 
 from agents.learners import ppo
 from agents.runs.checkpoint import COMMAND
 from agents.runs.command_line import begun_options, main
-from agents.runs.training import TrainingMonitor
 from baselines.tools.command import this_python
 from baselines.tools.options import note_options, parse
 from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = (*SHORT, "--validation-every", "128", "--knowledge", "none")
+TINY = (*SHORT, "--validation-every", "128")
 
 
 def train_ppo() -> None:
@@ -107,14 +107,13 @@ def test_several_seeds_are_resumed_with_the_options_of_their_command(tmp_path: P
 
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_interrupted_training_saves_and_says_how_to_go_on(
-    interrupt: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    begin = TrainingMonitor.begin
-    monkeypatch.setattr(TrainingMonitor, "begin", lambda self: (begin(self), signal.raise_signal(interrupt)))
-    code, errors = stopped(train_ppo, ("--out", "run", *TINY), tmp_path)
-    assert (code, errors) == (130, "")
-    output = capsys.readouterr().out
+def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until((tmp_path / "run" / "validation.csv").exists, 300)
+    process.send_signal(interrupt)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
     assert all(words in output for words in ("--resume", "interrupted at", "saved in run"))
     assert (tmp_path / "run" / "checkpoint.pkl").exists()
 
