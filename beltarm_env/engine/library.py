@@ -22,6 +22,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +56,13 @@ def compiled(
         announce()
         entry = entry_of(function, arguments, checked)
         path = building.build(entry.text, function.__name__.strip("_"))
-        found = note_for(entry, path.name)
-        _write(note if entry.read is not None else None, found)
+        returns, result = entry.returns, entry.result
+        _write(note, entry, path.name)
+    else:
+        returns, result = found["returns"], _from_data(found["result"])
     address = ctypes.cast(getattr(building.load(path), SYMBOL), ctypes.c_void_p).value
     assert address is not None
-    result = _from_data(found["result"])
-    return address, found["returns"], None if result is None else partial(made, result)
+    return address, returns, None if result is None else partial(made, result)
 
 
 @cache
@@ -120,9 +122,13 @@ def _read(note: Path | None) -> dict[str, Any] | None:
     return None
 
 
-def _write(note: Path | None, content: dict[str, Any]) -> None:
-    if note is not None:
-        with suppress(OSError):
+def _write(note: Path | None, entry: Entry, file: str) -> None:
+    """Write a note, if it tells all: what the text is made of, and by their names the classes of the result."""
+    if note is not None and entry.read is not None:
+        with suppress(OSError, AttributeError):
+            content = note_for(entry, file)
+            if _from_data(content["result"]) != entry.result:
+                return
             if not note.parent.is_dir():
                 note.parent.mkdir(parents=True, exist_ok=True)
                 _drop_old(note.parents[1])
@@ -152,9 +158,5 @@ def _as_data(result: Any) -> Any:
 def _from_data(data: Any) -> Any:
     if data is None or data[0] == "array":
         return data
-    make: Any = None
-    if data[1] is not None:
-        make = import_module(data[1][0])
-        for part in data[1][1].split("."):
-            make = getattr(make, part)
+    make = None if data[1] is None else attrgetter(data[1][1])(import_module(data[1][0]))
     return ("tuple", make, [_from_data(part) for part in data[2]])

@@ -81,7 +81,7 @@ class Expressions(Scope):
                 self.program.note(owner.value.__name__, node.attr, value)
             elif isinstance(owner.value, type):
                 self.program.note(owner.value.__module__, f"{owner.value.__qualname__}.{node.attr}", value)
-            elif node.attr not in getattr(owner.value, "_fields", ()):
+            elif not isinstance(owner.value, slice) and node.attr not in getattr(owner.value, "_fields", ()):
                 self.program.told = False
             return Const(value, f"{prefix}{node.attr}")
         if isinstance(owner, Array) and node.attr == "shape":

@@ -28,7 +28,7 @@ def shown(value: Any, codes: bool = True) -> str:
     """Write what a kernel reads, so that two that are not the same differ in it.
 
     Args:
-        value: A number, word or array, a function or kernel, a class, a module, or a tuple of these.
+        value: A number, word or array, a function or kernel, a class, a module, or a tuple or slice of these.
         codes: Whether of functions their code counts, and not their name alone. It differs between versions of Python.
 
     Returns:
@@ -40,6 +40,8 @@ def shown(value: Any, codes: bool = True) -> str:
         return repr(value)
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.strides} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, slice):
+        return f"slice {shown((value.start, value.stop, value.step), codes)}"
     if isinstance(value, tuple):
         parts = [shown(part, codes) for part in value]
         made = f"{type(value).__name__} {getattr(value, '_fields', ())}"
@@ -60,8 +62,9 @@ def _is_of_numpy(value: Any) -> bool:
 def _of_class(made: Any) -> str:
     fields, defaults = getattr(made, "_fields", ()), tuple(getattr(made, "_field_defaults", {}).items())
     of_defaults = shown(defaults) if defaults else "none"
-    is_named = named(made.__module__, made.__qualname__) is made
-    return f"{made.__module__}.{made.__qualname__} {fields} {of_defaults}" if is_named and of_defaults else ""
+    if named(made.__module__, made.__qualname__) is made:
+        return f"{made.__module__}.{made.__qualname__} {fields} {of_defaults}" if of_defaults else ""
+    return f"{fields} {of_defaults}" if fields and of_defaults else ""  # a named tuple is its fields
 
 
 def _of_function(function: Any, codes: bool) -> str:

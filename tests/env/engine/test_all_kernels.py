@@ -16,7 +16,7 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.controller import behind_guard
 from baselines.registry import CONTROLLERS, WITH_ACCELEROMETER
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.engine import PLAIN
+from beltarm_env.engine import PLAIN, kernels, library
 from beltarm_env.observation import SENSORS
 
 STEPS = 25
@@ -68,6 +68,9 @@ def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
                 _, memory = policy.predict(seen, memory)
     refused = {name: kernel._refused for name, kernel in calls.kernels.items() if kernel._refused}
     assert not refused and all(kernel._variants for kernel in calls.kernels.values()) and len(calls.kernels) > 35
+    variants = [(kernel.py_func, types) for kernel in calls.kernels.values() for types in kernel._variants]
+    notes = [library._note_of(library.words_of(*variant, kernels.ENGINE == "checked")) for variant in variants]
+    assert all(map(library._read, notes)), "no other process has to translate it again"
     path = tmp_path / "calls"
     path.write_bytes(pickle.dumps(calls.made))
     assert python("-c", AGAIN, path, path=(ROOT, ROOT / "tests" / "helpers"), BELTARM_ENGINE="plain").split() == []
