@@ -10,6 +10,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 
+def is_command(path: Path) -> bool:
+    return '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+
+
 def stopped(main: Callable[[], object], arguments: tuple[str, ...], folder: Path) -> tuple[int, str]:
     """Exit code and errors of a command that stops, run in a folder as its script's `main` with these arguments."""
     errors = io.StringIO()

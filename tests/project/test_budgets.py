@@ -4,20 +4,17 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from commands import is_command
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
-LINES = {"eval": 13_000, "tests": 16_000}
+LINES = {"eval": 13_000, "tests": 16_060}
 COMMANDS, MODULES = 11, 15
 DOCS = 6e6  # bytes of tracked files
 
 
 def sources(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*.py") if "__pycache__" not in path.parts]
-
-
-def is_command(path: Path) -> bool:
-    return '__name__ == "__main__"' in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("folder", LINES)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from commands import stopped
+from commands import is_command, stopped
 
 from agents.learners.registry import ALGORITHMS
 from eval.studies._frame import names
@@ -17,7 +17,7 @@ COMMANDS = [
     path.relative_to(ROOT).as_posix()
     for package in ("baselines", "eval", "train")
     for path in sorted((ROOT / package).glob("*.py"))
-    if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path.stem not in ("study", "export")
+    if is_command(path) and path.stem not in ("study", "export")
 ]
 COMMANDS += [f"eval/study.py {name}" for name in names()]
 

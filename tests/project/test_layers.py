@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from commands import is_command
 
 from beltarm_env.sources import source_files
 
@@ -73,10 +74,6 @@ def imported(path: Path) -> set[str]:
 
 def room(module: str) -> str:
     return ".".join(module.split(".")[:2])
-
-
-def is_command(path: Path) -> bool:
-    return '__name__ == "__main__"' in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("package", FLOORS)

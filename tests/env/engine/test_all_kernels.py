@@ -68,9 +68,8 @@ def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
                 _, memory = policy.predict(seen, memory)
     refused = {name: kernel._refused for name, kernel in calls.kernels.items() if kernel._refused}
     assert not refused and all(kernel._variants for kernel in calls.kernels.values()) and len(calls.kernels) > 35
-    variants = [(kernel.py_func, types) for kernel in calls.kernels.values() for types in kernel._variants]
-    notes = [library._note_of(library.words_of(*variant, kernels.ENGINE == "checked")) for variant in variants]
-    assert all(map(library._read, notes)), "no other process has to translate it again"
+    made = [(k.py_func, types, kernels.ENGINE == "checked") for k in calls.kernels.values() for types in k._variants]
+    assert all(library._read(library._note_of(library.words_of(*one))) for one in made), "it is noted"
     path = tmp_path / "calls"
     path.write_bytes(pickle.dumps(calls.made))
     assert python("-c", AGAIN, path, path=(ROOT, ROOT / "tests" / "helpers"), BELTARM_ENGINE="plain").split() == []
