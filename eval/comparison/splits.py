@@ -114,7 +114,7 @@ SPLITS = {
         MOVES,
     ),
     "structural": Definition(
-        "shifts with the full two-link arm, whose equations no controller has",
+        "shifts with the full two-link arm, whose equations no ranked method has",
         SHIFT_RANGES,
         {"model": "lagrangian"},
         moves=MOVES,
