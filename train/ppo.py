@@ -4,8 +4,8 @@ A run writes one folder: `best/` (the policy with the lowest validation cost), `
 `command.json`, the training log (CSV and TensorBoard), and `checkpoint.pkl`, from which `--resume` continues. The
 checkpoint is a pickle, for this machine only. Share `best/`, which holds only numbers and text.
 
-The model is in `agents/learners/ppo.py`. On a base that leaves little to find, a teacher's advice comes first:
-`python train/ppo.py --base adaptive --moves 4 --teacher-rounds 10`.
+The model is in `agents/learners/ppo.py`. On `adaptive`, which leaves little to find, a teacher's advice comes first;
+with `--base paper` PPO learns by trial and error alone.
 
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """

@@ -1,11 +1,11 @@
 """PPO, proximal policy optimisation, with and without an LSTM: options, defaults and models.
 
-The defaults of PPO are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see
-docs/science/training.md; the budget is twice a trial's.
+On `adaptive` the actor is first fitted to a teacher's advice, as a student without a memory is
+(`agents.learners.student`). PPO goes on from there with little exploration and the student's standardised inputs, after
+its critic has learned alone (`--critic-steps`): advantages by an untrained critic are noise.
 
-With `--teacher-rounds` the actor is first fitted to a teacher's advice, as a student without a memory is
-(`agents.learners.student`). PPO goes on from there with little exploration (`TAUGHT`) and the student's standardised
-inputs, after its critic has learned alone (`--critic-steps`): advantages by an untrained critic are noise.
+On other bases PPO learns alone, as `python train/tune.py ppo --trials 24 --samples 12000000` found (`ALONE`), see
+docs/science/training.md; the budget is twice a trial's.
 """
 
 from __future__ import annotations
@@ -75,13 +75,13 @@ class OnPolicyConfig(ReinforcementConfig):
         }
 
 
-TAUGHT: dict[str, Any] = {
-    **{"total_steps": 400_000, "validation_every": 100_000, "validation_arms": 32, "critic_steps": 140_000},
-    **{"arms": 256, "rollout_steps": 128, "batch_size": 8192, "epochs": 4, "learning_rate": 2e-5},
-    **{"entropy": 0.0, "initial_log_std": -3.0, "torque_price": TORQUE_PRICE, "reward_scale": 0.1},
-    **{"residual_limit": 0.5, "hidden": [128, 128]},
+ALONE: dict[str, Any] = {
+    **{"moves": 1, "total_steps": 6_000_000, "validation_every": 500_000, "validation_arms": 128},
+    **{"arms": 512, "rollout_steps": 64, "batch_size": 2048, "epochs": 3, "learning_rate": 3.5e-4},
+    **{"entropy": 0.008, "initial_log_std": -0.66, "torque_price": 25.0, "reward_scale": 0.036},
+    **{"residual_limit": 1.0, "hidden": [256, 256], "critic_steps": 0},
 }
-"""Options of PPO that goes on from a teacher's advice, where none are given: see docs/science/training.md."""
+"""Options of PPO without a teacher, where none are given: searched on `paper`, see docs/science/training.md."""
 
 
 @dataclass(frozen=True)
@@ -91,54 +91,73 @@ class PpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "ppo"
 
     out: Path = Path("runs/ppo")
-    total_steps: int = 6_000_000
-    learning_rate: float = 3.5e-4
+    base: str = "adaptive"
+    moves: int = 4
+    arms: int = 256
+    total_steps: int = 400_000
+    validation_every: int = 100_000
+    validation_arms: int = 32
+    learning_rate: float = 2e-5
     gamma: float = 0.988
     """Discount per agent step. 0.988 looks about 0.5 s ahead."""
-    reward_scale: float = 0.036
-    hidden: tuple[int, ...] = (256, 256)
+    reward_scale: float = 0.1
+    torque_price: float = TORQUE_PRICE
+    hidden: tuple[int, ...] = (128, 128)
+    residual_limit: float = 0.5
     hold: int = 4
     """Samples for which a residual is held. 4 samples are 6 ms."""
+    rollout_steps: int = 128
+    batch_size: int = 8192
+    epochs: int = 4
     gae_lambda: float = 0.962
-    initial_log_std: float = -0.66
-    teacher_rounds: int = 0
-    """Rounds in which the actor is first fitted to a teacher's advice, as that of `train/student.py`; with 0 it begins
-    as its base. With some, options that are not given are those for a good base: little noise, small steps."""
+    entropy: float = 0.0
+    initial_log_std: float = -3.0
+    teacher_rounds: int | None = None
+    """Rounds in which the actor is first fitted to a teacher's advice, as that of `train/student.py`. Default: 10 on
+    `adaptive`, none on other bases, where it begins as its base. With none, options that are not given are those for
+    trial and error: single moves, much noise, large steps, 6 million agent steps."""
     teacher_arms: int = 128
     """Arms of such a round."""
-    critic_steps: int = 0
+    critic_steps: int = 140_000
     """Agent steps, after those rounds, in which the critic learns alone."""
 
     def usual(self) -> dict[str, Any]:
         """Options that stand for those not given, see `RunConfig.usual`."""
-        return TAUGHT if self.teacher_rounds else {}
+        return {} if self.lessons else ALONE
+
+    @property
+    def lessons(self) -> int:
+        """Rounds of the teacher, those that stand where none are given included."""
+        if self.teacher_rounds is None:
+            return 10 if self.base == "adaptive" else 0
+        return self.teacher_rounds
 
     @property
     def length(self) -> int:
         """Agent steps of the whole run, those of the teacher's rounds included."""
-        return self.total_steps + (self.student().length if self.teacher_rounds else 0)
+        return self.total_steps + (self.student().length if self.lessons else 0)
 
     @property
     def layers(self) -> dict[str, Any]:
         """What the actor has besides hidden layers; inputs are standardised by those of the teacher's first round."""
-        return {"standardised": True} if self.teacher_rounds else {}
+        return {"standardised": True} if self.lessons else {}
 
     def student(self) -> StudentConfig:
         """Options of the student that the actor is in the teacher's rounds; those not named here are its own."""
         shared = {each.name: getattr(self, each.name) for each in fields(RunConfig) if each.name != "learning_rate"}
-        own = {"rounds": self.teacher_rounds, "arms": self.teacher_arms, "gru_width": 0, "epochs": 3}
+        own = {"rounds": self.lessons, "arms": self.teacher_arms, "gru_width": 0, "epochs": 3}
         return StudentConfig(**{**shared, **own})
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, None))
-        if self.teacher_rounds:
+        if self.lessons:
             self.student().check()
         super().check()
 
     def make_learner(self) -> ModelLearner:
         """Make an untrained learner."""
-        return TaughtLearner(self) if self.teacher_rounds else super().make_learner()
+        return TaughtLearner(self) if self.lessons else super().make_learner()
 
     @property
     def worst_reward(self) -> float:
@@ -149,7 +168,7 @@ class PpoConfig(OnPolicyConfig):
         """Make an untrained model, whose learning rate will fall linearly to zero."""
         with warnings.catch_warnings():  # of a last batch that is smaller, as --batch-size says that it may be
             warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
-            extractor = {"features_extractor_class": StandardisedInputs} if self.teacher_rounds else {}
+            extractor = {"features_extractor_class": StandardisedInputs} if self.lessons else {}
             model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
         model.critic_steps = self.critic_steps
         return model

@@ -108,22 +108,15 @@ class TuningConfig(SideBySide):
 
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """Options of the training run of a trial."""
-        options = {**settings}
-        if "hidden" in settings:
-            options["hidden"] = tuple(int(width) for width in settings["hidden"].split())
         kind: Any = ALGORITHMS[self.algorithm]
+        shared = {"out": self.out / f"{self.algorithm}-trial{number}", "base": self.base}
+        options = {**kind(**shared).usual(), **settings}
+        if "hidden" in settings:
+            options["hidden"] = [int(width) for width in settings["hidden"].split()]
         steps = self.samples // options.get("hold", kind.hold)
-        return kind(
-            out=self.out / f"{self.algorithm}-trial{number}",
-            seed=_FIRST_SEED + number % _SEEDS,
-            base=self.base,
-            total_steps=steps,
-            arms=self.arms,
-            validation_every=max(steps // _VALIDATIONS, 1),
-            validation_arms=self.validation_arms,
-            overwrite=True,
-            **options,
-        )
+        options |= {"arms": self.arms, "validation_arms": self.validation_arms, "total_steps": steps}
+        options["validation_every"] = max(steps // _VALIDATIONS, 1)
+        return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **shared, **options)
 
     def defaults(self) -> dict[str, Any]:
         """Settings that the algorithm has by default, as the study notes them."""

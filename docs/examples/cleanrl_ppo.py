@@ -1,8 +1,8 @@
 """PPO in one file, in the style of CleanRL: `python docs/examples/cleanrl_ppo.py`.
 
-It learns what `train/ppo.py` learns, with the same settings: a torque on top of the paper's controller, which acts at
-every sample, while the learned part is held for four. Nothing of the algorithm is hidden in a library. Interruption,
-checkpoints and choice of the best policy are left out.
+It learns what `train/ppo.py --base paper` learns, with the same settings: a torque on top of the paper's controller,
+which acts at every sample, while the learned part is held for four. Nothing of the algorithm is hidden in a library.
+Interruption, checkpoints and choice of the best policy are left out.
 
 An episode ends in one of two ways, and the estimate of advantages has to tell them apart. An arm that leaves its
 workspace is terminated: nothing follows. An episode that is over after 1.8 s is truncated: the motion would go on, and
@@ -43,7 +43,7 @@ from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
 
 @dataclass
 class Args:
-    """Options; the defaults are those of `train/ppo.py`."""
+    """Options; the defaults are those of `train/ppo.py --base paper`."""
 
     out: Path = Path("runs/cleanrl_ppo")
     """Folder of the run: the policy, and a log for TensorBoard."""

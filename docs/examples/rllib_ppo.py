@@ -1,8 +1,8 @@
 """PPO of RLlib, its new API stack: `python docs/examples/rllib_ppo.py`.
 
-It learns a torque on top of the paper's controller, as `train/ppo.py` does, on one `ResidualEnv` per arm. RLlib takes
-one release of Gymnasium and no other. The environment works with it, but `constraints.txt` has a later one, so RLlib
-gets a virtual environment of its own:
+It learns a torque on top of the paper's controller, as `train/ppo.py --base paper` does, on one `ResidualEnv` per arm.
+RLlib takes one release of Gymnasium and no other. The environment works with it, but `constraints.txt` has a later one,
+so RLlib gets a virtual environment of its own:
 
     python3.11 -m venv build/rllib
     build/rllib/bin/pip install -c docs/examples/rllib-constraints.txt "ray[rllib]" -e ".[checkout]"

@@ -97,6 +97,6 @@ for axes in (error, torque):
 # ----------
 # .. code-block:: sh
 #
-#    make train     # PPO on `paper`, saved in runs/ppo
+#    make train ARGS="--base paper"     # PPO on `paper`, saved in runs/ppo
 #    make compare ARGS="--policy runs/ppo/best --scenarios development --out results/my-residual"
 #    python train/student.py --seeds 5 --jobs 2     # a student on `adaptive`

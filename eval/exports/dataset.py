@@ -49,7 +49,6 @@ SCORED = 100
 """Arms of each reference score."""
 EXPERT = POLICIES / "student" / "seed0"
 """Folder of the policy whose score is 1."""
-_USUAL = ("paper", "adaptive")
 KINDS = ("none", "noise", "stretches")
 MEMORY = 0.97
 """Share of the noise that is left a sample later: 50 ms."""
@@ -146,7 +145,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
 
     settings: dict[str, Any] = {"randomization": options.randomization, "sensors": options.sensors}
     usual = not options.controller and not options.policy
-    sources = (_USUAL, (EXPERT,)) if usual else (options.controller, options.policy)
+    sources = (("paper", "adaptive"), (EXPERT,)) if usual else (options.controller, options.policy)
     methods = dict(methods_side_by_side(*sources))
     controllers = {name: method.controller(0) for name, method in methods.items()}
     names, share = ", ".join(methods), f"{100 * options.disturbed:g} %"

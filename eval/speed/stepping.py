@@ -180,9 +180,9 @@ def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from agents.learners.ppo import PpoConfig
+    from agents.learners.ppo import ALONE, PpoConfig
 
-    config = config or PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
+    config = config or PpoConfig(**ALONE, base="paper", threads=default_jobs())  # as many as PyTorch has by default
     count, samples = min(_SINGLE_ARMS, config.arms), config.arms * config.rollout_steps
 
     def single_arm() -> ResidualEnv:

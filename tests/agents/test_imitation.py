@@ -18,7 +18,7 @@ from trainings import StopAfter, run, same_policies, tiny
 
 import agents.learners.student
 from agents.learners import teaching
-from agents.learners.ppo import TAUGHT, PpoConfig, TaughtLearner
+from agents.learners.ppo import ALONE, PpoConfig, TaughtLearner
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, Recorder, advise, best_changes
 from agents.observer.quantities import NAMES
@@ -258,9 +258,6 @@ def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int
         assert rounds * arms <= training_arms(seed).size
 
 
-# PPO that goes on from a teacher's advice
-
-
 def taught(out: Path, **options: Any) -> PpoConfig:
     """Two rounds of a teacher for four arms, and four rollouts of PPO, in the first of which the actor waits."""
     own = {"teacher_rounds": 2, "teacher_arms": 4, "critic_steps": 64, "knowledge": "none", "moves": 1}
@@ -309,14 +306,16 @@ def test_a_run_stopped_in_either_part_goes_on_as_if_it_had_not_been(whole_taught
     assert same_policies(folder, tmp_path)
 
 
-def test_options_that_are_not_given_are_those_for_a_good_base():
+def test_options_that_are_not_given_are_those_for_the_base():
     def read(*told: str) -> PpoConfig:
         return parse(PpoConfig, arguments=told, begun=begun_options)
 
-    assert read() == PpoConfig() and read("--base", "adaptive") == PpoConfig(base="adaptive")
-    config = read("--teacher-rounds", "3", "--gamma", "0.9")
-    expected = {**TAUGHT, "hidden": tuple(TAUGHT["hidden"]), "teacher_rounds": 3, "gamma": 0.9}
-    assert config == PpoConfig(**expected)
+    assert read() == read("--base", "adaptive") == PpoConfig() and PpoConfig().student().rounds == 10
+    config = read("--base", "paper", "--teacher-rounds", "3", "--gamma", "0.9")
+    assert config == PpoConfig(base="paper", teacher_rounds=3, gamma=0.9)
     student = config.student()
     assert (student.rounds, student.arms, student.gru_width) == (3, config.teacher_arms, 0)
     assert (student.hidden, student.residual_limit, student.residual_price) == ((128, 128), 0.5, 1.0)
+    alone = {**ALONE, "hidden": tuple(ALONE["hidden"])}
+    assert read("--base", "paper") == PpoConfig(**alone, base="paper")
+    assert read("--teacher-rounds", "0", "--arms", "64") == PpoConfig(**{**alone, "teacher_rounds": 0, "arms": 64})

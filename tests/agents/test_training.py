@@ -145,7 +145,7 @@ def test_a_run_is_not_mixed_with_another(copied: Path):
         ({"seed": 1}, ("--seed 0, not 1",)),
         ({"arms": 16}, ("--arms 8, not 16",)),
         ({"hidden": (4, 4)}, ("--hidden [8], not [4, 4]",)),
-        ({"learning_rate": 1e-3}, ("--learning-rate 0.00035, not 0.001",)),
+        ({"learning_rate": 1e-3}, ("--learning-rate 2e-05, not 0.001",)),
         ({"total_steps": 64}, ("has 128 agent steps already", "--total-steps")),
     ):
         refused(ValueError, words, partial(run, resumed(copied, **options)))

@@ -15,7 +15,7 @@ from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import _frame, learning
-from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant
+from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant, begun_options
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]
 def test_every_variant_simulates_as_many_samples(tmp_path: Path):
     for variant in VARIANTS:
         script, *options = Run(variant, 0, 8_000_000, tmp_path).words
-        config = parse(ALGORITHMS[Path(script).stem], arguments=options)
+        config = parse(ALGORITHMS[Path(script).stem], arguments=options, begun=begun_options)
         config.check()
         assert config.length * config.hold == pytest.approx(8_000_000, rel=0.01), variant.name
     (memoryless,) = [variant for variant in VARIANTS if variant.name == "gru-0"]

@@ -23,12 +23,12 @@ IMITATION = {
     **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none", "moves": 1},
 }
 OWN: dict[str, dict[str, Any]] = {
-    "ppo": {**REINFORCEMENT, **ON_POLICY},
+    "ppo": {**REINFORCEMENT, **ON_POLICY, "base": "paper", "critic_steps": 0, "moves": 1},
     "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8, "knowledge": "none"},
     "sac": {**REINFORCEMENT, **OFF_POLICY, "knowledge": "none"},
     "student": IMITATION,
 }
-SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
+SHORT = "--base paper --arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split()
 TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 
 

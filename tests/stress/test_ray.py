@@ -97,7 +97,7 @@ FEW = "--total-steps 256 --validation-every 128 --arms 8 --rollout-steps 16 --ba
 
 
 def train(monkeypatch: pytest.MonkeyPatch, config: type[PpoConfig], *options: object) -> None:
-    monkeypatch.setattr(sys, "argv", ["train/ppo.py", *map(str, [*options, *FEW])])
+    monkeypatch.setattr(sys, "argv", ["train/ppo.py", *map(str, ["--base", "paper", *options, *FEW])])
     main(config, None)
 
 

@@ -18,6 +18,7 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
 from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
+from agents.runs.command_line import begun_options
 from agents.runs.settings import RunConfig
 from agents.runs.training import SCORES, train
 from baselines.tools.files import write_text
@@ -63,12 +64,11 @@ FACTORS = {
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
 _SHIFTS, _ALL = ("--moves", str(StudentConfig.moves)), ("--residual-limit", "1.0")
-_ADAPTIVE = ("--base", "adaptive")
 VARIANTS = (
     DEFAULT,
-    Variant("ppo-taught", "learner", "PPO after a teacher", (*_ADAPTIVE, *_SHIFTS, "--teacher-rounds", "6"), "ppo"),
-    Variant("ppo-adaptive", "learner", "PPO, on adaptive", (*_ADAPTIVE, *_SHIFTS), "ppo", once=True),
-    Variant("ppo", "learner", "PPO, on paper", _SHIFTS, "ppo", once=True),
+    Variant("ppo-taught", "learner", "PPO after a teacher", ("--teacher-rounds", "6"), "ppo"),
+    Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--teacher-rounds", "0", *_SHIFTS), "ppo", once=True),
+    Variant("ppo", "learner", "PPO, on paper", ("--base", "paper", *_SHIFTS), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", _SHIFTS, "sac", once=True),
     Variant("single", "arms", "single moves", ("--moves", "1")),
     Variant("no-parts", "arms", "shifts without parts", ("--nominal", "payload_mass")),
@@ -112,10 +112,10 @@ class Run:
     @property
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
-        budget = self._budget(parse(ALGORITHMS[self.variant.script], arguments=list(self.variant.options)))
+        config = parse(ALGORITHMS[self.variant.script], arguments=self.variant.options, begun=begun_options)
         script, arms = f"train/{self.variant.script}.py", 4 if self.quick else 32
         shared = ("--validation-arms", arms, "--seed", self.seed)
-        return [str(word) for word in (script, *budget, *self.variant.options, *shared)]
+        return [str(word) for word in (script, *self._budget(config), *self.variant.options, *shared)]
 
     def _budget(self, config: RunConfig) -> list[object]:
         """Command-line options that make the script simulate `self.samples` samples."""
@@ -123,8 +123,8 @@ class Run:
             rounds = 2 if self.quick else _VALIDATIONS
             return ["--arms", _arms(self.samples, rounds, config.moves), "--rounds", rounds]
         steps = max(self.samples // config.hold, 1)
-        if isinstance(config, PpoConfig) and config.teacher_rounds:  # who has most samples, as in shipped runs
-            arms, steps = _arms(self.samples * 3 // 4, config.teacher_rounds, config.moves), steps // 4
+        if isinstance(config, PpoConfig) and config.lessons:  # who has most samples, as in shipped runs
+            arms, steps = _arms(self.samples * 3 // 4, config.lessons, config.moves), steps // 4
             words = ["--teacher-arms", arms, "--critic-steps", steps // 3]
             return ["--total-steps", steps, "--validation-every", max(steps // 2, 1), *words]
         return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
@@ -201,7 +201,8 @@ def train_run(words: list[str], out: Path) -> None:
     script, *options = words
     resume = ["--resume"] if RunFolder(out).checkpoint.exists() else []
     arguments = [*options, "--out", str(out), *resume]
-    train(parse(ALGORITHMS[Path(script).stem], arguments=arguments), command=shlex.join(["python", script, *arguments]))
+    config = parse(ALGORITHMS[Path(script).stem], arguments=arguments, begun=begun_options)
+    train(config, command=shlex.join(["python", script, *arguments]))
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
