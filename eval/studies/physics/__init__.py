@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from baselines import PaperController
+from baselines.registry import CONTROLLERS
 from baselines.tools.progress import progress_over
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_columns, params_table
@@ -25,7 +26,7 @@ from eval.comparison.rollouts import side_by_side
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS, below, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
-from eval.studies.physics.errors import DRIVERS, FINE, SENSITIVE, SETS, cost_changes, errors_of
+from eval.studies.physics.errors import DRIVERS, FINE, SENSITIVE, SETS, cost_change, errors_of
 
 QUICK = {"arms": 1, "samples": 40, "drawn": 2}
 STEPS = (1, 2, 4, 8)
@@ -87,13 +88,15 @@ def measure(options: Options) -> dict[str, Any]:
     kinds = [(name, model, driver) for name in SETS for model in MODELS for driver in DRIVERS]
     tried = [(*kind, options.drawn, options.samples) for kind in kinds]
     errors = side_by_side("errors of the step", errors_of, tried, options.jobs)
+    closed = [(name, options.drawn) for name in CONTROLLERS]
+    costs = side_by_side("costs in closed loop", cost_change, closed, options.jobs)
     return {
         "mujoco": mujoco.__version__,
         "fine": FINE,
         "sensitive": SENSITIVE,
         "sets": SETS,
         "errors": [errors[each] for each in tried],
-        "costs": cost_changes(options.drawn),
+        "costs": [costs[each] for each in closed],
         "steps": STEPS,
         "drive": DRIVE,
         "convergence": [

@@ -32,8 +32,6 @@ SETS = {
 """Sets of arms."""
 DRIVERS = ("paper", "adaptive", "random")
 """What commanded the torques: two controllers, and noise, uniform over the torque limit and new in every sample."""
-CLOSED_LOOP = ("paper", "preview", "adaptive")
-"""Controllers whose costs are compared."""
 SENSITIVE = 1000.0
 """Growth of a small displacement from which on a motion tells nothing about the step."""
 _SHIFT = 1e-9  # displacement at the start whose growth is measured [m]
@@ -134,20 +132,15 @@ def errors_of(name: str, model: str, driver: str, count: int, samples: int) -> d
     }
 
 
-def cost_changes(count: int) -> list[dict[str, Any]]:
-    """Costs of controllers in closed loop, and by how much `FINE` steps change them."""
-    rows = []
-    for name in CLOSED_LOOP:
-        usual, fine = (_costs(name, steps, count) for steps in (1, FINE))
-        rows.append(
-            {
-                "controller": name,
-                "cost": interquartile_mean(usual),
-                "change": interquartile_mean(fine) / interquartile_mean(usual) - 1,
-                "arm": float(np.abs(fine / usual - 1).max()),
-            }
-        )
-    return rows
+def cost_change(name: str, count: int) -> dict[str, Any]:
+    """Cost of a controller in closed loop, and by how much `FINE` steps change it."""
+    usual, fine = (_costs(name, steps, count) for steps in (1, FINE))
+    return {
+        "controller": name,
+        "cost": interquartile_mean(usual),
+        "change": interquartile_mean(fine) / interquartile_mean(usual) - 1,
+        "arm": float(np.abs(fine / usual - 1).max()),
+    }
 
 
 def _costs(name: str, steps: int, count: int) -> Floats:
