@@ -9,7 +9,6 @@ from typing import Any, cast
 import control
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
 from baselines.estimation.observer import QUANTUM
@@ -23,10 +22,9 @@ from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation, sampled_state_space
+from beltarm_env.arrays import Floats
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
-
-Floats = NDArray[np.float64]
 
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 DRIVEN = replace(design_model(), coulomb_friction=0.0)

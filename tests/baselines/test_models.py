@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from properties import examples
 from refusals import refused
 from scipy.integrate import solve_ivp
@@ -24,13 +23,13 @@ from baselines.planning.plan import Problem, Weights, set_step
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
 from beltarm_env.arm import params_table
+from beltarm_env.arrays import Floats
 from beltarm_env.physics.models import MODELS
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
-Floats = NDArray[np.float64]
 GEAR = 88.0
 NOMINAL = ArmParams()
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov, sqrtm
 from scipy.optimize import lsq_linear
 
@@ -23,12 +22,12 @@ from baselines.optimal.robust import RobustController
 from baselines.planning.plan import GAIN, TORQUE, Weights, planned
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.physics.sampled import sampled_state_space
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 
-Floats = NDArray[np.float64]
 GEAR = 88.0
 
 

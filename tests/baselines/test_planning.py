@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import refused
 
 from baselines import tuned_controller
@@ -20,6 +19,7 @@ from baselines.yardsticks.clairvoyant import Replay, optimum, shift_optimum
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_table, plant_of
+from beltarm_env.arrays import Floats
 from beltarm_env.observation import size
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import rollout
@@ -27,7 +27,6 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at, sampled_moves
 
-Floats = NDArray[np.float64]
 GEAR = 88.0
 MOVE = np.array([[0.3, 1.1, 0.8, 0.2]])
 WEIGHTS = Weights(0.3, 2.0, 20.0)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from episodes import torques
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lsim
 
@@ -29,9 +28,7 @@ from beltarm_env.observation import decode
 from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, reference_at
 
-Floats = NDArray[np.float64]
 SHAPERS = ("zv", "zvd", "ei")
-GEAR = 88.0
 NOMINAL = ArmParams()
 
 

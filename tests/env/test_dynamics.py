@@ -10,17 +10,16 @@ import pytest
 from driven_arms import GEAR, LOSSLESS, UPPER_ENDS, apply, arm_env, at_rest, drawn_arms, push, swing, wave
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv, design_model
 from beltarm_env.arm import DRIVE_EFFECTS
+from beltarm_env.arrays import Floats
 from beltarm_env.observation import decode
 from beltarm_env.task.ranges import IDEAL_RANGES
 from eval.reference.event_located import EventLocatedArm, tip
 from eval.studies.physics import measure_convergence
 
-Floats = NDArray[np.float64]
 Arm = Mapping[str, Any]
 
 LIMIT = 0.3

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import ArmParams
@@ -14,8 +13,6 @@ from beltarm_env.physics.kinematics import WORKSPACE_MARGIN, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sin_cos, sine_cosine, wrapped
 from eval.reference.event_located import tip
-
-Floats = NDArray[np.float64]
 
 DEG_90, TURN = math.pi / 2, 2 * math.pi
 SPEEDS = st.floats(-10, 10)

@@ -9,16 +9,14 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import beltarm_env.recording
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, episode_metrics
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import SHORTEST, WORKSPACE
-
-Floats = NDArray[np.float64]
 
 DURATION = 0.9  # of the move [s]: the last row of it is 599
 TIME: Floats = np.arange(1.0, EPISODE_STEPS + 1) * np.float64(CONTROL_PERIOD)

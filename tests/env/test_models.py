@@ -10,7 +10,6 @@ import sympy
 from driven_arms import GEAR, MODELS, UPPER_ENDS, at_rest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import ArmParams, state_space
@@ -23,8 +22,6 @@ from beltarm_env.physics.substeps import fastest_rate, integration_limits
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, range_bounds
 from eval.reference.event_located import EventLocatedArm
 from eval.reference.symbolic_arm import derive
-
-Floats = NDArray[np.float64]
 
 DEG_90 = math.pi / 2
 PHASES = {"kinematic_error_phase": 0.7, "friction_variation_phase": 1.9, "torque_ripple_phase": 2.5}

@@ -14,11 +14,11 @@ from commands import python
 from driven_arms import GEAR, GIVES, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
-from numpy.typing import NDArray
 from refusals import refused
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import DRIVE_EFFECTS
+from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval.reference.event_located import EventLocatedArm, tip
 
@@ -28,7 +28,6 @@ from beltarm_env.mujoco import renderer  # noqa: E402
 from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
 from beltarm_env.mujoco.model import load_model, read_state, write_state  # noqa: E402
 
-Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 NO_COULOMB = {"coulomb_friction": 0.0}
 

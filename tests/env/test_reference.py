@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from properties import examples
 from scipy.stats import kstest
 
 from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env.arrays import Floats
 from beltarm_env.task import moves, reference
 from beltarm_env.task.moves import DRAWS, LONGEST_TIME, MOST_TORQUE, SHORTEST, WORKSPACE, check_moves, peak_torque
 from beltarm_env.task.reference import PROFILES, QUINTIC, SCURVE, TRAPEZOID, MoveShape, reference_at
 
-Floats = NDArray[np.float64]
 ALL = pytest.mark.parametrize("profile", [TRAPEZOID, SCURVE, QUINTIC], ids=PROFILES)
 NO_CRUISE = (0.0, math.pi / 2, 1.4, 0.7)
 MOVES = [MoveShape(*move) for move in ((0.2, 1.3, 0.9, 0.3), (1.5, 0.0, 1.2, 0.18), NO_CRUISE)]

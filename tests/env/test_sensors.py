@@ -6,17 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import kstest
 
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
+from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BANDWIDTH, NOISE, RANGE, bias_of, noise, noise_seed
 from beltarm_env.task.draws import DRAWS, FIRST_OF_SENSORS
-
-Floats = NDArray[np.float64]
 
 GEAR = 88.0
 RESOLUTION = 2 * math.pi / 4000
@@ -78,7 +76,7 @@ class Record:
         np.testing.assert_allclose(self.seen["motor_angle"] / resolution, np.rint(counts), atol=0.3)
         return np.rint(counts)
 
-    def course(self, column: int, times: NDArray[Any], order: int = 0) -> Floats:
+    def course(self, column: int, times: Any, order: int = 0) -> Floats:
         """Angle or torsion at any time; before the episode the motor moved as fast as at its start."""
         spline = CubicHermiteSpline(self.times, self.states[:, column], self.states[:, column + 1])
         start, speed = self.states[0, column : column + 2]
