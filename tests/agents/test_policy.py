@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from bundles import new_weights
-from commands import python
+from commands import ROOT, python
 from episodes import assert_same_in_batches
 from gymnasium.error import DependencyNotInstalled
 from hypothesis import given
@@ -24,8 +24,6 @@ from agents.policy.onnx_model import OPSET, model_of, write_onnx
 from agents.policy.weights import ActorShape
 from beltarm_env.arrays import Singles
 from beltarm_env.task.seeds import VALIDATION
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def answers(policy: NetworkPolicy, seen: Singles) -> Singles:

@@ -5,12 +5,11 @@ import re
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import python
+from commands import ROOT, python
 from episodes import assert_same_in_batches, next_move
 from refusals import refused
 
@@ -23,7 +22,6 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
 from eval.comparison import check
 
-ROOT = Path(__file__).parents[2]
 SEED = 5_000_000
 BATCH: dict[str, Any] = {"randomization": "train"}
 FELT_ARMS: dict[str, Any] = {**BATCH, "sensors": "accelerometer"}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import ROOT
 from gymnasium.error import DependencyNotInstalled
 from refusals import refused
 from side_by_side import Anywhere, InWorkers, Place, go_on, square, where_it_works
@@ -23,8 +24,6 @@ from baselines.engines import workplace
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff, Channel, StopRequest, stop_on_signals
 from baselines.engines.workplace import WithStorage, Workplace
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 class TestInThisProcess(Anywhere):

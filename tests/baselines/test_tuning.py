@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake
+from commands import ROOT, mistake
 from optuna.trial import TrialState
 from refusals import refused
 from waiting import until
@@ -30,7 +30,7 @@ from baselines.tuning.study import begin_anew, own
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
 
-SCRIPT = str(Path(__file__).resolve().parents[2] / "baselines/tune.py")
+SCRIPT = str(ROOT / "baselines/tune.py")
 NAMES = tuple(TUNABLE)[:2]
 BATCH = RUNGS[0] * EPISODE_STEPS
 MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4

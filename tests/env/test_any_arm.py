@@ -1,7 +1,6 @@
 """Whatever the arm, the move and the torque: numbers within their bounds."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.observation import bounds
 from beltarm_env.task.cost import MAX_COST
 
-ROOT = Path(__file__).parents[2]
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
 
 

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 import gymnasium as gym
 import numpy as np
 import pytest
-from commands import python
+from commands import ROOT, python
 from driven_arms import GEAR, GIVES, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
@@ -28,7 +28,6 @@ from beltarm_env.mujoco import renderer  # noqa: E402
 from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
 from beltarm_env.mujoco.model import load_model, read_state, write_state  # noqa: E402
 
-ROOT = Path(__file__).parents[2]
 NO_COULOMB = {"coulomb_friction": 0.0}
 
 

@@ -1,7 +1,6 @@
 """Seeds: nobody draws another's arms; and the streams of random numbers that they begin."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -13,8 +12,6 @@ from refusals import refused
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.task import seeds
 from beltarm_env.task.streams import checked_seed, draw, seeded, wrapping
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_ranges_are_disjoint():

@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 from unittest.mock import Mock
@@ -13,7 +12,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import POLICIES, load_controller
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.engine import blocks, compiled, in_threads, threads
 from beltarm_env.engine.blocks import none_taken, take_block
@@ -22,7 +21,6 @@ from beltarm_env.engine.words import Integers
 from beltarm_env.rollout import rollout
 
 ARMS = 700  # six blocks
-POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 
 
 @pytest.fixture(autouse=True)

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 
 from baselines import CONTROLLERS
 from eval.check_controller import main
 from eval.comparison import check, custom
 from eval.comparison.check import Finding, findings, record
 
-ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
 
 

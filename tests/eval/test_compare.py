@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from browser import asked
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 from jsonschema import Draft202012Validator
 from studies import draw_alone
 
@@ -28,7 +28,6 @@ from eval.comparison.splits import EDITION, SPLITS, VERSION
 from eval.report import publish
 from eval.report.publish import LARGEST
 
-ROOT = Path(__file__).resolve().parents[2]
 SEEDS = 2
 EPISODES, BOTH = 20, ("nominal", "sensing")
 MOVES = {"nominal": 1, "sensing": 2}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake
+from commands import ROOT, mistake
 from refusals import refused
 
 from baselines.servo.paper import PaperController
@@ -184,7 +184,6 @@ def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: P
     assert text_of(content_of(read, MADE_UP)) == frozen.read_text(encoding="utf-8")
 
 
-ROOT = Path(__file__).parents[2]
 PROTOCOL = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
 CHANGES = "## Changes made after the results"
 

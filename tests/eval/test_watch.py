@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 
 from eval import watch
 
-ROOT = Path(__file__).resolve().parents[2]
 FRAMES = {"motion.gif": (20, 9 + 19), "motion.mp4": (30, 14 + 30)}
 """Per second, and in all: of 1.8 s at four times the speed, and of a second's rest."""
 

@@ -9,6 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
+
 
 def is_command(path: Path) -> bool:
     return '__name__ == "__main__"' in path.read_text(encoding="utf-8")

@@ -4,10 +4,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from commands import is_command
+from commands import PACKAGES, ROOT, is_command
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
 LINES = {"eval": 13_000, "tests": 16_060}
 COMMANDS, MODULES = 11, 15
 DOCS = 6e6  # bytes of tracked files

@@ -3,12 +3,11 @@
 import re
 from pathlib import Path
 
-from commands import python
+from commands import ROOT, python
 
 from eval.exports.program import loop_of
 from eval.exports.source import sources
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/guide/engine.md").read_text(encoding="utf-8")
 README = ROOT / "beltarm_env/engine/translation/README.md"
 

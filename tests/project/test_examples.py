@@ -5,11 +5,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from commands import python
+from commands import ROOT, python
 
 from agents.policy.bundle import read_spec
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+EXAMPLES = ROOT / "docs" / "examples"
 NO_RLLIB = "RLlib has an environment of its own, see docs/examples/index.md"
 
 

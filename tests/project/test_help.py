@@ -4,15 +4,13 @@ import re
 import runpy
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from commands import is_command, stopped
+from commands import ROOT, is_command, stopped
 
 from agents.learners.registry import ALGORITHMS
 from eval.studies._frame import names
 
-ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = [
     path.relative_to(ROOT).as_posix()
     for package in ("baselines", "eval", "train")

@@ -8,11 +8,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from commands import is_command
+from commands import ROOT, is_command
 
 from beltarm_env.sources import source_files
 
-ROOT = Path(__file__).resolve().parents[2]
 FLOORS = {
     "beltarm_env": (
         *("sources", "engine", "arrays timing", "arm", "physics"),

@@ -10,13 +10,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from commands import ROOT
 
 import beltarm_env
 from beltarm_env.engine import building, shipped
 from beltarm_env.sources import source_files
 from tests.lowest import lowest_versions
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "beltarm_env"
 README = ("engine/translation/README.md",)
 HEAVY = (

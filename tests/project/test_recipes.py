@@ -5,10 +5,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from commands import python
+from commands import PACKAGES, ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
 STEP = re.compile(r"^(New file|In) `([^`]+)`[^\n]*\n\n```\w+\n(.*?)^```$", re.M | re.S)
 CODE = """
 import numpy as np

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 from trainings import SHORT
 from waiting import until
 
@@ -26,7 +26,6 @@ from baselines.tools.options import note_options, parse
 from eval import scenarios
 from eval.comparison.splits import EDITION, VERSION
 
-ROOT = Path(__file__).resolve().parents[2]
 TINY = (*SHORT, "--validation-every", "128")
 
 

@@ -8,12 +8,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from commands import ROOT
 
 pytest.importorskip("sphinx", reason="the site needs `make docs`'s packages")
 pytest.importorskip("sphinxcontrib.katex", reason="the site needs `make docs`'s packages")
 
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).resolve().parents[2]
 KEPT_OUT = {".git", ".venv", "docs", "results", "runs"}
 LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src", "video": "src"}
 """Attributes that a browser loads by itself, by element."""

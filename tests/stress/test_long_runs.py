@@ -2,12 +2,11 @@
 
 import hashlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import python
+from commands import ROOT, python
 from episodes import assert_as_alone
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +18,6 @@ from beltarm_env.engine import building
 from beltarm_env.observation import SENSORS
 from beltarm_env.task.reference import PROFILES
 
-ROOT = Path(__file__).resolve().parents[2]
 ARMS, STEPS = 140, 1300  # more than a block, and than an episode
 TORQUES: dict[str, Callable[[Singles, BeltArmVectorEnv], Any]] = {
     "noise": lambda noise, env: noise,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import python
+from commands import ROOT, python
 from networks import SHAPES, episodes, lively
 from recording_calls import recorded_calls
 
@@ -21,7 +21,6 @@ from beltarm_env.observation import SENSORS
 
 STEPS = 25
 STUDENT = POLICIES / "student" / "seed0"
-ROOT = Path(__file__).resolve().parents[3]
 AGAIN = "import sys, pathlib; from recording_calls import differing; print(*differing(pathlib.Path(sys.argv[1])))"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 
 from beltarm_env.task.seeds import dataset_arms
 from eval import export
@@ -19,7 +19,6 @@ from eval.exports import dataset as written
 minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
 
-ROOT = Path(__file__).resolve().parents[3]
 RUNAWAY = """
 import numpy as np
 

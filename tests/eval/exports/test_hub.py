@@ -16,7 +16,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 from bundles import SPEC, Exploit, new_weights
-from commands import mistake, stopped
+from commands import ROOT, mistake, stopped
 
 from agents.policy import bundle
 from agents.policy.bundle import CARD, POLICIES, POLICY_FILE, read_spec
@@ -30,7 +30,6 @@ from eval.report.table import Results
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
-ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "docs/examples/from_the_hub.py"
 POLICY = POLICIES / "ppo/seed1"
 EPISODES, MOVES = 4, 2

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from commands import mistake, python, stopped
+from commands import ROOT, mistake, python, stopped
 from refusals import refused
 
 from baselines import CONTROLLERS
@@ -23,7 +23,6 @@ from eval.exports.folder import FORMAT, MANIFEST
 from eval.exports.program import exportable, loop_of, write_program
 from eval.exports.source import for_one_lane
 
-ROOT = Path(__file__).resolve().parents[3]
 EXAMPLES = ROOT / "docs" / "examples"
 PAGE = (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
 STUDENT, PPO = (str(ROOT / "agents" / "policies" / name / "seed0") for name in ("student", "ppo"))
