@@ -226,9 +226,6 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
     assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192]
 
 
-# Several seeds side by side
-
-
 @pytest.mark.slow
 def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(whole_of: Any, tmp_path: Path):
     many = tmp_path / "many"
@@ -257,9 +254,6 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, 
     assert end.steps == 128 and [path.name for path in config.out.rglob(".*")] == [".lock"]
     assert weights(tmp_path / "run/last") == weights(finished[0] / "last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py", "what began it"
-
-
-# Progress
 
 
 def test_progress_is_reported(finished: Any, tmp_path: Path):

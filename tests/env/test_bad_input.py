@@ -38,9 +38,6 @@ def each(common: list[Refusal], of_a_batch: list[Refusal]) -> Any:
     return pytest.mark.parametrize(("make", "given", "error", "words"), cases, ids=named)
 
 
-# Arguments of the environments
-
-
 SETTINGS: list[Refusal] = [
     ({"sensors": "sonar"}, ValueError, ("sensors", "'sonar'", "'encoder'", "'tip'", "'full'")),
     ({"profile": "sine"}, ValueError, ("profile", "'sine'", "'trapezoid'", "'scurve'", "'quintic'")),
@@ -87,9 +84,6 @@ def test_arguments_through_make():
     refused(ResetNeeded, ("reset()",), lambda: BeltArmEnv().set_integration_steps(4))
 
 
-# Parameters
-
-
 def test_parameters_that_make_no_arm():
     for name in ArmParams.__slots__:
         low, high, above, _ = bounds_of(name)
@@ -120,9 +114,6 @@ def test_drives_that_cannot_be_integrated(params: dict[str, float], words: tuple
     refused(ValueError, words, lambda: BeltArmEnv().reset(options={"params": params}))
     ranges = {name: (value, value) for name, value in params.items()}
     refused(ValueError, words, lambda: BeltArmEnv(model="lagrangian", randomization=ranges))
-
-
-# Options of reset
 
 
 SUDDEN = {"start": 0, "duration": 0.5, "ramp_time": 0.1}
@@ -207,9 +198,6 @@ def test_a_refused_reset_leaves_the_episode_and_random_numbers_as_they_were(make
     assert env.np_random_seed == other.np_random_seed and env.reset()[0].tobytes() == other.reset()[0].tobytes()
 
 
-# Steps
-
-
 @pytest.mark.parametrize("action", [0.0, 1.0], ids=["truncated", "terminated"])
 def test_steps_after_the_end(action: float):
     env = BeltArmEnv()
@@ -276,9 +264,6 @@ def test_bad_actions_are_refused_even_for_an_arm_about_to_restart(mode: str):
     while not over.any():
         over = envs.step(np.array([[0.0], [1.0]]))[2]
     refused(ValueError, ("nan", "arm 1"), lambda: envs.step(np.array([[0.0], [NAN]])))
-
-
-# Observations and rollouts
 
 
 def test_observations_of_another_size():

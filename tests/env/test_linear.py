@@ -169,8 +169,6 @@ class TestStateDerivative:
 
 
 # The environment in its linear regime: without Coulomb friction and with constant M2 the arm is linear in any motion.
-
-
 LINEAR = {"coulomb_friction": 0.0, "arm_inertia_swing": 0.0}
 FOLDED = LINEAR | {"arm_inertia": 0.07}  # M2 of the nominal arm at 90 degrees
 OTHER = {"gear_ratio": 60.0, "motor_inertia": 8e-5, "motor_viscous_friction": 1e-3, "belt_stiffness": 25.0}

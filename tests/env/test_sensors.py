@@ -47,9 +47,6 @@ class TestNoise:
             assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / math.sqrt(a.size)
 
 
-# Through the environment
-
-
 class Record:
     """States and observations (in physical units) of an episode, row 0 at its start."""
 

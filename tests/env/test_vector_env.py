@@ -36,9 +36,6 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
     return np.repeat(levels, 60, axis=0)[:steps].astype(np.float32)
 
 
-# One arm of a batch is a single environment
-
-
 CASES: dict[AutoresetMode, dict[str, Any]] = {
     AutoresetMode.NEXT_STEP: {"num_envs": 1, "sensors": "full", "profile": "quintic", "moves": 2},
     AutoresetMode.SAME_STEP: {"num_envs": 5, "sensors": "tip", "randomization": "train", "delay": 1, "moves": 2},

@@ -57,9 +57,6 @@ def assert_same(results: Sequence[Metrics | Failure], expected: Sequence[Metrics
             assert result[name].tobytes() == table.tobytes(), name
 
 
-# Parts that run together
-
-
 @pytest.mark.parametrize("method", ["paper", "privileged", "learned"])
 def test_splits_and_training_seeds_together_are_each_by_itself_bit_for_bit(method: str):
     several = [part(method, k, split) for k, split in ((4, "randomized"), (3, "nominal"))]
@@ -100,9 +97,6 @@ def test_a_controller_that_fails_on_a_split_does_so_there_alone(tmp_path: Path, 
     assert_same([nominal, payload], expected)
     assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert [read_kept(single, tmp_path) is not None for single in several] == [True, False, True]
-
-
-# What is kept
 
 
 def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

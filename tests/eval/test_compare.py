@@ -102,9 +102,6 @@ def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: di
     assert results["rows"][0]["cost_mean"] == pytest.approx(np.mean(costs), rel=1e-5)
 
 
-# Verification
-
-
 def verified(folder: Path) -> tuple[int, str]:
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
@@ -191,9 +188,6 @@ def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monke
     monkeypatch.setattr("eval.comparison.run.compare", measure)
     assert "measured" in mistake(compare.main, ("--verify", "."), tmp_path)
     assert [len(method.sources) for method in measure.call_args.args[0]] == [1, 1, 3, 1]
-
-
-# Schema
 
 
 @pytest.mark.parametrize(

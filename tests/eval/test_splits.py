@@ -130,9 +130,6 @@ def test_a_shift_that_an_arm_leaves_is_of_the_scenario_as_far_as_it_went(splits:
     refused(ValueError, ("not those of the scenarios",), lambda: require_these_arms(run, split, rows[::-1]))
 
 
-# Sets
-
-
 def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
     """By their seeds, and by what is drawn; the test set's are left alone."""
     sets = [(development_set(), DEVELOPMENT), *((fresh_set(k), fresh_arms(k)) for k in (0, 1, MAX_FRESH_SEED))]
@@ -212,9 +209,6 @@ def test_protocol_lists_commits_that_are_there():
     assert not [commit for commit in named if git("merge-base", "--is-ancestor", commit, "HEAD").returncode]
 
 
-# Damage
-
-
 def rehashed(content: dict[str, Any], **changes: Any) -> dict[str, Any]:
     rest = {key: value for key, value in {**content, **changes}.items() if key != "sha256"}
     return {**rest, "sha256": digest_of(rest)}
@@ -251,9 +245,6 @@ def test_damaged_files_are_refused(damage: Callable[[Any], Any], message: str, f
     finally:
         tracemalloc.stop()
     assert "restore scenarios.json" in str(caught.value) and "\n" not in str(caught.value)
-
-
-# Physics
 
 
 def test_a_changed_physics_is_noticed():

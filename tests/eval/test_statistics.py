@@ -25,9 +25,6 @@ def test_interquartile_mean_is_scipys_trimmed_one():
         assert interquartile_mean(values) == pytest.approx(trim_mean(values[0], 0.25))
 
 
-# Bootstrap samples
-
-
 def test_intervals_cover_the_truth_about_as_often_as_they_say():
     """Of a normal population; scenarios and seeds both drawn anew. With few seeds, a bootstrap is known too narrow."""
     rng = np.random.default_rng(5)
@@ -48,9 +45,6 @@ def test_samples_are_those_of_a_bootstrap_by_definition(seeds: int):
     samples = resampled(values)
     for k in range(0, RESAMPLES, 100):
         assert samples[k] == interquartile_mean(values[runs[k]][:, scenarios[k]])
-
-
-# Paired comparisons
 
 
 def test_paired_by_hand():

@@ -140,9 +140,6 @@ def test_without_a_learned_method_or_a_classical_one(methods: dict[str, Any], fa
     assert all(word in said for word in words.split(", "))
 
 
-# Media
-
-
 def printed(comparison: Comparison) -> list[str]:
     console = Console(width=80, record=True, file=io.StringIO())
     print_results(content_of(comparison), console)
@@ -165,9 +162,6 @@ def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
     long = printed(made(*(outcome(name, "classical", 1234.0, spread=400.0) for name in ("pid", 30 * "long-"))))
     rows = [line for line in long if line.startswith((" pid", " long-"))]
     assert [len(re.findall(r"\d+\.?\d*", row)) for row in rows] == [8, 8] and max(map(len, long)) <= 80
-
-
-# Arms that do not arrive
 
 
 def still(away: float, seeds: int = 1) -> MethodOutcome:

@@ -17,8 +17,6 @@ from refusals import refused
 from beltarm_env.engine import PLAIN, bound, building, compiled, in_threads, inlined, kernels
 
 pytestmark = pytest.mark.skipif(PLAIN or building.compiler() is None, reason="kernels run in plain Python")
-
-
 kernel_of: Any = compiled  # which tests look into
 
 
@@ -226,9 +224,6 @@ def test_threads_that_call_a_new_kernel_at_the_same_time(capsys: pytest.CaptureF
 
 def product_less(x: float, y: float) -> float:
     return x * y - x
-
-
-# Where there is no C
 
 
 TYPED: dict[str, Any] = {"__name__": "__main__"}

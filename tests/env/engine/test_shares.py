@@ -100,8 +100,6 @@ for _ in range(100):
     kernel.share(4, counts, places)
 print(list(memoryview(counts).cast("q")), len(set(memoryview(places).cast("q"))))
 """
-
-
 LIMITED = """
 import resource
 size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

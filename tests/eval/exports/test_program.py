@@ -39,9 +39,6 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-# Programs
-
-
 @pytest.mark.parametrize(
     "source",
     [each if each in ("ei", "adaptive", PPO) else pytest.param(each, marks=pytest.mark.slow) for each in SOURCES],
@@ -104,9 +101,6 @@ def test_footprint(exports: Any, core: str):
     if taken is None:
         pytest.skip(f"no compiler for {core}")
     assert 1000 < taken.flash < 30_000 and 100 < taken.memory < 10_000 and 50 < taken.stack < 10_000
-
-
-# The page
 
 
 @pytest.mark.slow
