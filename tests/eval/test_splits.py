@@ -28,18 +28,7 @@ from eval import scenarios as command
 from eval.comparison import sets as scenarios
 from eval.comparison.cache import LEFT, Part, measure, require_these_arms
 from eval.comparison.methods import classical_methods
-from eval.comparison.sets import (
-    ScenarioSet,
-    choose_set,
-    content_of,
-    development_set,
-    freeze_test_set,
-    fresh_set,
-    load,
-    make_set,
-    require_same_physics,
-    text_of,
-)
+from eval.comparison.sets import ScenarioSet, choose_set, development_set, fresh_set, load
 from eval.comparison.splits import EPISODES, MOVES, SPLITS, VERSION, Split, digest_of, draw
 
 SHIFTED = ("payload", "stiffness", "friction", "drive", "presliding")
@@ -164,13 +153,13 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(scenarios, "draw_set", few_drawn)
         patched.setattr(scenarios, "last_commit_of", lambda _: MADE_UP)
-        freeze_test_set(path)
+        scenarios.freeze_test_set(path)
     return path
 
 
 @cache
 def few_drawn(name: str, seeds: SeedRange) -> ScenarioSet:
-    return make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in SPLITS})
+    return scenarios.make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in SPLITS})
 
 
 def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -178,7 +167,7 @@ def test_a_test_set_is_read_as_written_and_frozen_once(frozen: Path, tmp_path: P
     monkeypatch.setattr(scenarios, "FILE", frozen)
     assert choose_set().label == choose_set("test").label == read.label == drawn.label
     assert "scenarios.json" in mistake(command.main, ("--freeze-test",), tmp_path)
-    assert text_of(content_of(read, MADE_UP)) == frozen.read_text(encoding="utf-8")
+    assert scenarios.text_of(scenarios.content_of(read, MADE_UP)) == frozen.read_text(encoding="utf-8")
 
 
 PROTOCOL = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
@@ -255,6 +244,6 @@ def test_a_changed_physics_is_noticed():
         changes.append({"tables": split.tables * np.where(np.array(FIELDS) == field, 1 + 1e-4, 1)})
     for change in changes:
         with pytest.raises(ValueError, match=r"arms move otherwise.*raise VERSION in eval/comparison/splits.py"):
-            require_same_physics(ScenarioSet(known.label, {"nominal": replace(split, **change)}))
-    require_same_physics(fresh_set(0).only(["nominal", "sensing"]))  # which is checked by the test set
-    require_same_physics(choose_set("test").only(["sensing"], moves=2))
+            scenarios.require_same_physics(ScenarioSet(known.label, {"nominal": replace(split, **change)}))
+    scenarios.require_same_physics(fresh_set(0).only(["nominal", "sensing"]))  # which is checked by the test set
+    scenarios.require_same_physics(choose_set("test").only(["sensing"], moves=2))

@@ -7,22 +7,14 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 from scipy.stats.mstats import trimmed_mean_ci
 
-from eval.comparison.statistics import (
-    RESAMPLES,
-    all_paired,
-    estimate,
-    estimates,
-    holm,
-    interquartile_mean,
-    paired,
-    resampled,
-)
+from eval.comparison import statistics
+from eval.comparison.statistics import RESAMPLES, all_paired, estimate, estimates, holm, paired, resampled
 
 
 def test_interquartile_mean_is_scipys_trimmed_one():
     for count in (2, 3, 7, 8, 50, 201):
         values = np.random.default_rng(count).normal(size=(1, count))
-        assert interquartile_mean(values) == pytest.approx(trim_mean(values[0], 0.25))
+        assert statistics.interquartile_mean(values) == pytest.approx(trim_mean(values[0], 0.25))
 
 
 def test_intervals_cover_the_truth_about_as_often_as_they_say():
@@ -44,7 +36,7 @@ def test_samples_are_those_of_a_bootstrap_by_definition(seeds: int):
     runs = rng.integers(0, seeds, (RESAMPLES, seeds)) if seeds > 1 else np.zeros((RESAMPLES, 1), int)
     samples = resampled(values)
     for k in range(0, RESAMPLES, 100):
-        assert samples[k] == interquartile_mean(values[runs[k]][:, scenarios[k]])
+        assert samples[k] == statistics.interquartile_mean(values[runs[k]][:, scenarios[k]])
 
 
 def test_paired_by_hand():
