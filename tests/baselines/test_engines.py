@@ -11,10 +11,9 @@ from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
-from commands import ROOT
+from commands import ROOT, started
 from gymnasium.error import DependencyNotInstalled
 from refusals import refused
 from side_by_side import Anywhere, InWorkers, Place, go_on, square, where_it_works
@@ -57,8 +56,7 @@ with stop_on_signals(stop, lambda: print("asked", flush=True)):
 @pytest.mark.parametrize("killed", [False, True])
 def test_a_signal_to_the_whole_group_asks_to_stop_as_the_death_of_who_waits_does(killed: bool, tmp_path: Path):
     """As Ctrl-C in a terminal is: the workers get it, too, and leave it to the one that began them."""
-    piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([sys.executable, "-c", SCRIPT], cwd=tmp_path, start_new_session=True, **piped)
+    process = started("-c", SCRIPT, cwd=tmp_path, start_new_session=True)
     for name in "ab":
         until((tmp_path / name / "began").exists)
     if killed:

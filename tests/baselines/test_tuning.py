@@ -3,7 +3,6 @@
 import itertools
 import math
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import ROOT, mistake
+from commands import ROOT, mistake, started
 from optuna.trial import TrialState
 from refusals import refused
 from waiting import until
@@ -247,8 +246,7 @@ def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: A
     name, out, journal = NAMES[0], tmp_path / "gains.json", tmp_path / "results" / "tune" / f"{NAMES[0]}.journal"
     out.write_text("{}")
     words = (name, "--moves", "1", "--out", "gains.json")
-    piped: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([sys.executable, SCRIPT, *words], cwd=tmp_path, **piped)
+    process = started(SCRIPT, *words, cwd=tmp_path)
     until(lambda: journal.exists() and '"costs"' in journal.read_text(), 300)
     process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=300)

@@ -3,13 +3,11 @@
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from commands import ROOT, mistake, stopped
+from commands import ROOT, mistake, started, stopped
 
 from eval import watch
 
@@ -41,9 +39,8 @@ def test_what_an_mp4_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     environment = {**os.environ, "SDL_VIDEODRIVER": "dummy", "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, str(ROOT / "eval/watch.py"), "--controller", "paper", "--speed", "10"]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes)
+    words = (ROOT / "eval/watch.py", "--controller", "paper", "--speed", "10")
+    process = started(*words, cwd=tmp_path, env=environment)
     assert process.stdout is not None and process.stdout.readline().startswith("paper:")
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=2)  # goes on playing

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,3 +48,9 @@ def python(*words: object, cwd: Path | None = None, path: tuple[Path, ...] = (),
     done = subprocess.run(command, cwd=cwd, env=known, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-4000:]
     return done.stdout
+
+
+def started(*words: object, cwd: Path, **options: Any) -> subprocess.Popen[str]:
+    """A Python process of its own that is not waited for, with pipes for its output and its errors."""
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, *map(str, words)], cwd=cwd, **pipes, **options)

@@ -2,11 +2,9 @@
 
 import re
 import runpy
-import subprocess
-import sys
 
 import pytest
-from commands import ROOT, is_command, stopped
+from commands import ROOT, is_command, started, stopped
 
 from agents.learners.registry import ALGORITHMS
 from eval.studies._frame import names
@@ -44,8 +42,7 @@ def test_help_is_plain_and_fits(command: str, monkeypatch: pytest.MonkeyPatch, c
 @pytest.mark.slow
 def test_help_may_be_cut_off():
     """As by `| head`, whose pipe closes before all is written."""
-    command, pipe = [sys.executable, "train/ppo.py", "--help"], subprocess.PIPE
-    with subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True) as process:
+    with started("train/ppo.py", "--help", cwd=ROOT) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == "" and process.wait(timeout=300) == 0

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from commands import ROOT, mistake, stopped
+from commands import ROOT, mistake, started, stopped
 from trainings import SHORT
 from waiting import until
 
@@ -107,8 +107,7 @@ def test_several_seeds_are_resumed_with_the_options_of_their_command(tmp_path: P
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = started(ROOT / "train/ppo.py", "--out", "run", *TINY, cwd=tmp_path)
     until((tmp_path / "run" / "validation.csv").exists, 300)
     process.send_signal(interrupt)
     output, errors = process.communicate(timeout=300)
