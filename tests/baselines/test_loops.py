@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any, cast
@@ -28,6 +29,8 @@ from beltarm_env.task.ranges import TRAIN_RANGES, design_model
 
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 DRIVEN = replace(design_model(), coulomb_friction=0.0)
+untuned: Callable[[str], Any] = cache(lambda name: TUNABLE[name]())
+usual: Callable[[str], Any] = cache(lambda name: CONTROLLERS[name]())
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
@@ -103,16 +106,6 @@ def test_a_controller_responds_to_a_pulse_as_its_linear_loop(name: str, latency:
         torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
         expected = np.asarray(closed.forced_response(inputs=torques).outputs)
         assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max(), k
-
-
-@cache
-def untuned(name: str) -> Any:
-    return TUNABLE[name]()
-
-
-@cache
-def usual(name: str) -> Any:
-    return CONTROLLERS[name]()
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

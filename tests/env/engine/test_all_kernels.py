@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import ROOT, python
+from episodes import torques_of
 from networks import SHAPES, episodes, lively
 from recording_calls import recorded_calls
 
@@ -42,24 +43,15 @@ def play(env: Any, action: float, steps: int) -> None:
         env.step(np.full(env.action_space.shape, action * (-1) ** (k // 8), np.float32))
 
 
-def drive(controller: Any, sensors: Any) -> None:
-    env = BeltArmVectorEnv(3, sensors=sensors, randomization="train")
-    observation, memory, begins = env.reset(seed=5)[0], None, np.ones(3, bool)
-    for _ in range(STEPS):
-        torque, memory = controller.predict(observation, memory, begins)
-        observation, *_ = env.step(torque)
-        begins = np.zeros(3, bool)
-
-
 @pytest.mark.skipif(PLAIN, reason="kernels run in plain Python")
 def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
     with recorded_calls() as calls:
         step_environments()
         classical = [make() for make in CONTROLLERS.values()]
         for controller in (*classical, behind_guard(CONTROLLERS["adaptive"]()), load_controller(STUDENT)):
-            drive(controller, "encoder")
+            torques_of(controller, 5, 3, STEPS, randomization="train")
         for make in WITH_ACCELEROMETER.values():
-            drive(make(), "accelerometer")
+            torques_of(make(), 5, 3, STEPS, randomization="train", sensors="accelerometer")
         for shape in SHAPES.values():
             calls.count_anew()
             policy, memory = NetworkPolicy(lively(shape).weights()), None

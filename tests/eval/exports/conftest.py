@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import translating
 
 from eval.comparison.sets import development_set
-from eval.exports.compilers import Toolchain, native
+from eval.exports.compilers import Toolchain
 from eval.exports.in_the_loop import compare
 from eval.exports.program import controller_of, loop_of, write_program
 from eval.exports.source import Loop
+
+in_python = cache(controller_of)
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,6 @@ class Exported:
         assert np.array_equal(*agreement.costs)
 
 
-@cache
-def in_python(source: str, guard: bool) -> Any:
-    return controller_of(source, guard)
-
-
 class Exports:
     def __init__(self, folder: Path, toolchain: Toolchain) -> None:
         self.folder, self.toolchain = folder, toolchain
@@ -77,10 +75,7 @@ class Exports:
 @pytest.fixture(scope="session")
 def compiler() -> tuple[str, ...]:
     """Command of this machine's compiler; the test is skipped where there is none."""
-    try:
-        return native().compiler
-    except ValueError as error:
-        pytest.skip(str(error))
+    return translating.compiler().compiler
 
 
 @pytest.fixture(scope="session")
