@@ -193,8 +193,7 @@ def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
         if end - begin < 1e-9:
             continue
         instants = np.linspace(begin, np.nextafter(end, begin), 8)
-        span = (begin, instants[-1])
-        run = solve_ivp(rates, span, states[-1], "DOP853", instants[1:], rtol=1e-11, atol=1e-12)
+        run = solve_ivp(rates, (begin, instants[-1]), states[-1], "DOP853", instants[1:], rtol=1e-11, atol=1e-12)
         times += [*instants[1:]]
         states += [*run.y.T]
     y = np.array(states)

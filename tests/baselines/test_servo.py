@@ -152,9 +152,7 @@ def along(ramps: Ramps, start: float, time: float, smooth: bool = False) -> Refe
 
 
 def shaper(kind: str, mode: Mode, vibration: float) -> tuple[np.ndarray, np.ndarray]:
-    gains = ExtraInsensitiveGains(vibration=vibration)
-    made = TUNABLE[kind](gains)
-    shares = np.array(made.shares())
+    shares = np.array(TUNABLE[kind](ExtraInsensitiveGains(vibration=vibration)).shares())
     ramps = Ramps(*np.zeros((3, len(shares))))
     shaping.write_impulses(shares, mode, 0, ramps)
     return ramps.speed, ramps.onset

@@ -147,8 +147,7 @@ def test_without_terminal_lines_say_how_far_it_is(monkeypatch: pytest.MonkeyPatc
 
 def git(folder: Path, *words: str) -> str:
     settings = "-c user.name=A -c user.email=a@b.c -c commit.gpgsign=false -c init.defaultBranch=main".split()
-    ran = subprocess.run(["git", *settings, *words], cwd=folder, capture_output=True, text=True, check=True)
-    return ran.stdout.strip()
+    return subprocess.check_output(["git", *settings, *words], cwd=folder, stderr=subprocess.PIPE, text=True).strip()
 
 
 UNKNOWN = ("unknown", "refused")

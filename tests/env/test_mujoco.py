@@ -199,8 +199,7 @@ def test_pictures_show_the_arm_where_it_is(tmp_path: Path):
     output = python("-c", PICTURES, cwd=tmp_path, path=(ROOT,), MUJOCO_GL=os.environ.get("MUJOCO_GL", "egl"))
     if output.startswith("no GL:"):
         pytest.skip(f"MuJoCo cannot draw here: {output}")
-    wanted = [*["(480, 640, 3) uint8 True True"] * 3, "True"]
-    assert output.splitlines() == wanted, "blue links, an orange tip"
+    assert output.splitlines() == [*["(480, 640, 3) uint8 True True"] * 3, "True"], "blue links, an orange tip"
 
 
 def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(tmp_path: Path):

@@ -154,9 +154,8 @@ class TestThroughTheEnvironment:
         env, frames = RecordVideo(env, str(tmp_path / "films"), lambda episode: episode == 0), []
         for _ in range(3):
             env.reset(seed=5)
-            over = False
-            while not over:
-                over = any(env.step(np.full(1, 0.3, np.float32))[2:4])
+            while not any(env.step(np.full(1, 0.3, np.float32))[2:4]):
+                pass
             frames.append(np.asarray(env.render()))
         env.close()
         np.testing.assert_array_equal(frames[1], frames[2], "as after an episode of which each step was drawn")

@@ -15,15 +15,11 @@ from eval.studies import _frame, _pages
 NAMES = _frame.names()
 SLOW = ("loops", "paper", "physics")
 """Studies of which tests of their own run what measures."""
+TRIED = [name for name in NAMES if name != "learning"]  # which has a test of its own
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
-        for name in NAMES
-        if name != "learning"  # which has a test of its own
-    ],
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in TRIED]
 )
 def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Of the paper without its alternatives, which `test_paper.py` tries; to the last dot in `test_speed.py`."""

@@ -38,8 +38,7 @@ def tiny(name: str, out: Path, **options: Any) -> Any:
 
 
 def run(config: RunConfig, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:
-    channel = Channel(report) if report is not None else Channel(stop=stop or StopRequest())
-    return train(config, channel)
+    return train(config, Channel(report or (lambda _: None), stop or StopRequest()))
 
 
 class StopAfter(StopRequest):

@@ -150,7 +150,6 @@ class TestResults:
         assert kernel("scalars", "dnb", (), "(dn)", lambda result: Point(*result)).call(0.5, 2, True) == Point(0.5, 2)
         with pytest.raises(ZeroDivisionError):
             kernel("nothing", "", (), "0", lambda _: 1 / 0).call()
-
         content = bytearray(8)
         with pytest.raises(ValueError, match=r"^100% wrong$"):
             kernel("wrong", "aB1c").call(content)

@@ -72,7 +72,6 @@ def test_folder_of_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cap
     assert {path.name for path in folder.iterdir()} == {POLICY_FILE, CARD, CONFIG, MODEL, ".gitattributes"}
     assert "hf upload some-lab/arm.1 results/hub/arm.1\n" in capsys.readouterr().out
     assert (folder / POLICY_FILE).read_bytes() == (POLICY / POLICY_FILE).read_bytes()
-
     scenarios = choose_set("test").splits["shift"].shortened(MOVES).arguments(slice(EPISODES))
     run = rollout(bundle.load_controller(folder), EPISODES, **scenarios)
     reward = -run.cost.reshape(MOVES, EPISODES).sum(axis=0)
@@ -99,7 +98,6 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
         shown: dict[str, Any] = {}
         exec(card.text.split("```python\n")[1].split("```")[0], shown)
     assert len(shown["run"].cost) == 10
-
     content = published()
     row = next(row for row in content["rows"] if (row["method"], row["split"]) == ("ppo", "nominal"))
     rows = [{**row, "method": name, "seeds": 1} for name in ("my-ppo+guard", "my-ppo")]
