@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from commands import PACKAGES, ROOT, is_command
 
-LINES = {"eval": 13_000, "tests": 16_060}
+LINES = {"eval": 13_000, "tests": 16_000}
 COMMANDS, MODULES = 11, 15
 DOCS = 6e6  # bytes of tracked files
 
