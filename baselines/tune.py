@@ -1,7 +1,7 @@
 """Tune the gains of classical controllers: `python baselines/tune.py NAME`, or `--all` of them.
 
 Every controller gets the same optimiser, arms, objective and budget (see `baselines/tuning/search.py`). A full budget
-is 48 million samples, twice what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with their
+is 48 million samples, twice what PPO on `paper` simulates. Gains go to `baselines/gains.json`, with their
 origin. Each search keeps a journal, from which `--resume` continues, with the options that it had unless others are
 told. A new search begins with untuned gains, never with tuned ones: otherwise budgets would add up.
 

@@ -44,7 +44,7 @@ class TuningConfig(WithStorage):
     all: bool = False
     """Tune every controller that has gains to tune."""
     budget: int = 48_000_000
-    """Simulated samples for each controller. A run of `train/ppo.py` takes half as many; the gains in
+    """Simulated samples for each controller. A run of `train/ppo.py --base paper` takes half as many; the gains in
     baselines/gains.json were found with 16 million."""
     moves: int = 4
     """Moves of each arm in a row, with parts and motors that give before they slip; 1 for arms of `TRAIN_RANGES`."""

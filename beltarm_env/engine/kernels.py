@@ -8,7 +8,8 @@ the same bits. What a call needs is translated and compiled when it is first mad
 
     c          as C, the default; in plain Python where there is no compiler and nothing was built
     plain      in plain Python, which is the place to look with a debugger
-    checked    as C that checks every index and every sum of whole numbers: a ValueError names function and line
+    checked    as C that checks every index, where a ValueError names function and line, and every sum and product of
+               whole numbers, where it says that one overflowed
 """
 
 from __future__ import annotations

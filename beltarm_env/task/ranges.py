@@ -20,7 +20,10 @@ Randomization = Literal["off", "ideal", "train"] | Ranges
 
 
 EDITION = 2
-"""Of arm and drive: raise it where their equations or ranges change. 1 was an ideal drive."""
+"""Of arm and drive: raise it where the same episode would have another arm, as since 1, which had an ideal drive.
+
+Presliding and shifts left it as it was: they only add episodes.
+"""
 
 
 def _around(name: str, share: float) -> tuple[float, float]:
