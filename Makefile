@@ -17,6 +17,10 @@ export PYTHONDONTWRITEBYTECODE =
 READY_COMPARE := $(VENV)/.ready-compare
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
+# On Linux PyTorch's own index, where it can be reached, has a build without CUDA, a tenth as large. Empty: that of PyPI.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+FROM_TORCH = $(shell $(BIN)/python -c 'import sys, urllib.request as u; sys.platform == "linux" and \
+	u.urlopen("$(TORCH_INDEX)/", timeout=3) and print("--extra-index-url $(TORCH_INDEX)")' 2>/dev/null)
 WORKERS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
@@ -52,7 +56,7 @@ $(READY_COMPARE): pyproject.toml $(CONSTRAINTS)
 
 $(READY): $(READY_COMPARE)
 	@echo "Adding all other packages to $(VENV), and compiling kernels: two minutes"
-	$(PIP) --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
+	$(PIP) --constraint $(CONSTRAINTS) $(FROM_TORCH) --editable '.[$(EXTRA)]'
 	$(BIN)/python -m agents.compile_kernels
 	@touch $@
 
