@@ -7,7 +7,7 @@ renderers here, HTML has it in `parts.html`.
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate
 from math import inf, nan
 from types import SimpleNamespace
@@ -106,20 +106,15 @@ def to_terminal(table: Table, columns: int) -> TerminalTable:
     if missing := ", ".join(table.columns[fitting:]):
         shown.caption, shown.caption_justify = f"Not shown, for the terminal is too narrow: {missing}.", "left"
     for row in table.rows:
-        shown_cells = row.cells[:fitting]
-        formats = [_TERMINAL.get(cell.mark, "{} " if marked[k] else "{}") for k, cell in enumerate(shown_cells)]
-        cells = [format_.format(escape(cell.text)) for format_, cell in zip(formats, shown_cells, strict=True)]
+        fit = zip(row.cells[:fitting], marked, strict=False)
+        cells = [_TERMINAL.get(cell.mark, "{} " if mark else "{}").format(escape(cell.text)) for cell, mark in fit]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
     return shown
 
 
-# Content
-
 Record = dict[str, Any]
 """Row of a results.json: a method on a split."""
 Show = Callable[[Record], Cell]
-WORST = "worst 5\u00a0%"
-FAILED = Cell("failed")
 
 
 class Results:
@@ -167,13 +162,8 @@ class Results:
     def note(self) -> str:
         """Sentences about what the numbers are worth."""
         shipped = {folder.parent.name for folder in shipped_policies()}
-        own = [
-            row["method"]
-            for row in self.methods
-            if row["kind"] == "added"
-            or (row["kind"] == "learned" and row["method"].removesuffix("+guard") not in shipped)
-        ]
-        return self.label.note_with(own)
+        names = [row["method"] for row in self.methods if row["kind"] in ("added", "learned")]
+        return self.label.note_with([name for name in names if name.removesuffix("+guard") not in shipped])
 
     def seed_note(self, methods: Iterable[str]) -> str:
         """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
@@ -183,32 +173,30 @@ class Results:
         named = "; ".join(f"{row['method']} by seed {row['median_seed']} of 0 to {row['seeds'] - 1}" for row in several)
         return f"A learned method is shown by the training seed of median cost on {self.main}: {named}."
 
-    # Tables
-
     def main_table(self) -> Table:
         """Cost on the main split by every average, failures beside it, and the error of the arm's end."""
         shows: dict[str, Show] = {
-            "cost": _estimate("cost"),
+            "cost": partial(_metric, "cost"),
             "mean": lambda row: Cell(number(row.get("cost_mean", nan), 0), value=row.get("cost_mean")),
-            WORST: lambda row: Cell(number(row.get("cost_worst", nan), 0), value=row.get("cost_worst")),
-            "fail": lambda row: _share(_unsettled(row)),
-            "left": lambda row: _share(_left(row)),
-            "not arrived": lambda row: _share(estimate(row, NOT_ARRIVED).iqm),
+            "worst 5\u00a0%": lambda row: Cell(number(row.get("cost_worst", nan), 0), value=row.get("cost_worst")),
+            "fail": lambda row: _share(_failing(row)["fail"]),
+            "left": lambda row: _share(_failing(row)["left"]),
+            "not arrived": lambda row: _share(_failing(row)["not arrived"]),
         }
-        shows |= {heading(name): _estimate(name) for name in PAIRED_METRICS if name != "cost"}
+        shows |= {heading(name): partial(_metric, name) for name in PAIRED_METRICS if name != "cost"}
         about = f"{self.main}: {SPLITS[self.main].description}; {self.episodes} scenarios"
         return self._table(about, {title: (self.main, show) for title, show in shows.items()})
 
     def across_splits(self, metric: str) -> Table:
         """One metric on all splits; details of the cost are its mean and tail, and failures."""
-        show = _estimate(metric)
+        show = partial(_metric, metric)
         shown = (lambda row: replace(show(row), details=_tail(row))) if metric == "cost" else show
         return self._table(f"{heading(metric)} on every split", {split: (split, shown) for split in self.splits})
 
     def of_split(self, split: str, metrics: Sequence[str]) -> Table:
         """Some metrics on one split, of those that its results have."""
         known = {name for row in self.on(split) for name in row["metrics"]}
-        return self._table(split, {heading(name): (split, _estimate(name)) for name in metrics if name in known})
+        return self._table(split, {heading(name): (split, partial(_metric, name)) for name in metrics if name in known})
 
     def tails(self) -> Table:
         """Mean of the cost, mean of its worst 5 %, and failures, on all splits."""
@@ -223,11 +211,8 @@ class Results:
         """Samples and time of tuning or training, of its search, and time per action."""
         columns = ["samples per seed (million)", "seconds per seed", "trials", "refused", "base's samples (million)"]
         columns += ["per action (µs)", "99\u00a0% (µs)", "sensitive (%)"]
-        return Table(
-            "What each method takes",
-            columns,
-            [Row(row["method"], row["kind"], row["seeds"], self._effort(row)) for row in self.methods],
-        )
+        rows = [Row(row["method"], row["kind"], row["seeds"], self._effort(row)) for row in self.methods]
+        return Table("What each method takes", columns, rows)
 
     def _effort(self, row: Record) -> list[Cell]:
         steps, seconds, trials, refused, of_base = (max(row["training"].get(name, [0])) for name in EFFORT)
@@ -244,7 +229,7 @@ class Results:
         rows = []
         for row in self.methods:
             records = [(show, self.records.get((row["method"], split))) for split, show in columns.values()]
-            cells = [show(record) if record else FAILED for show, record in records]
+            cells = [show(record) if record else Cell("failed") for show, record in records]
             rows.append(Row(row["method"], row["kind"], row["seeds"], cells))
         return Table(title, list(columns), rows)
 
@@ -264,43 +249,35 @@ def difference_texts(pair: dict[str, Any]) -> list[str]:
         if metric not in pair["metrics"]:
             texts += ["not compared", "–"]
             continue
-        compared = SimpleNamespace(**pair["metrics"][metric])
+        compared = estimate(pair, metric)
         wins = f"{compared.win_rate:.0%} [{compared.win_rate_low:.0%}, {compared.win_rate_high:.0%}]"
         star = "*" if compared.verdict in ("better", "worse") and compared.p_holm >= 0.05 else ""
         texts += [f"{compared.verdict}{star}: {cell(metric, compared, 1)}", wins]
     return texts
 
 
-def _estimate(metric: str) -> Show:
-    """Cells of a metric: its estimate with the interval, and a mark where it is the best or a tie."""
-
-    def show(row: Record) -> Cell:
-        if metric not in row["metrics"]:
-            return Cell("–")
-        value = estimate(row, metric)
-        point, low, high = numbers(metric, value)
-        return Cell(point, f"[{low}, {high}]", (), value.iqm, row.get("marks", {}).get(metric, ""))
-
-    return show
+def _metric(name: str, row: Record) -> Cell:
+    """Cell of a metric: its estimate with the interval, and a mark where it is the best or a tie."""
+    if name not in row["metrics"]:
+        return Cell("–")
+    value = estimate(row, name)
+    point, low, high = numbers(name, value)
+    return Cell(point, f"[{low}, {high}]", (), value.iqm, row.get("marks", {}).get(name, ""))
 
 
 def _share(value: float) -> Cell:
     return Cell("<1%" if 0 < value <= 0.005 else f"{value:.0%}", value=value) if value == value else Cell("–")
 
 
-def _unsettled(row: Record) -> float:
-    return row["failures"]["not_settled"] / row["failures"]["runs"]
-
-
-def _left(row: Record) -> float:
-    return row["failures"]["left_workspace"] / (row["seeds"] * row["episodes"])
+def _failing(row: Record) -> dict[str, float]:
+    """Shares of moves that never settle, of runs that leave the workspace, of moves that do not arrive, by word."""
+    failed = row["failures"]
+    left = failed["left_workspace"] / (row["seeds"] * row["episodes"])
+    return {"fail": failed["not_settled"] / failed["runs"], "left": left, "not arrived": estimate(row, NOT_ARRIVED).iqm}
 
 
 def _tail(row: Record) -> tuple[str, ...]:
     """Mean and worst 5 % of the cost, and how many runs failed, if any."""
-    left, away = _left(row), estimate(row, NOT_ARRIVED).iqm
-    averages = [number(row.get(key, nan), 0) for key in ("cost_mean", "cost_worst")]
-    counts = [f"{_share(_unsettled(row)).text} fail"] if _unsettled(row) else []
-    counts += [f"{_share(left).text} left"] if left else []
-    counts += [f"{_share(away).text} not arrived"] if away > 0 else []
-    return (" / ".join(averages), *([", ".join(counts)] if counts else []))
+    averages = " / ".join(number(row.get(key, nan), 0) for key in ("cost_mean", "cost_worst"))
+    counts = ", ".join(f"{_share(share).text} {word}" for word, share in _failing(row).items() if share > 0)
+    return (averages, counts) if counts else (averages,)
