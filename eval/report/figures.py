@@ -8,16 +8,13 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from html import escape
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 from scipy.signal import detrend
 from scipy.signal.windows import hann
 
@@ -91,21 +88,21 @@ def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
     text = re.sub(r"#[0-9a-f]{6}\b", lambda colour: _THEMED.get(colour[0], colour[0]), text)
     text = re.sub(rf'<g id="{name}-{_NAMED}([^"]+)">', r"\g<0><title>\1</title>", text)
-    width, height = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)[0]
-    opening = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">'
-    return Panel(re.sub(r"<svg[^>]*>", lambda _: opening, text, count=1), title)
+    said = f'role="img" aria-label="{escape(alt, quote=True)}"'
+    text = re.sub(r'<svg[^>]*(viewBox="[^"]*")[^>]*>', lambda opening: f"<svg {opening[1]} {said}>", text, count=1)
+    return Panel(text, title)
 
 
 def forests(results: Results, colours: dict[str, str]) -> list[Panel]:
     """Differences in cost from the best classical controller, split by split."""
     of_splits = {split: results.against(AGAINST[0], split) for split in results.splits}
-    with matplotlib.rc_context(LOOK):
+    with plt.rc_context(LOOK):
         return [_forest(results, split, against, colours) for split, against in of_splits.items() if against]
 
 
 def _forest(results: Results, split: str, against: dict[str, dict[str, Any]], colours: dict[str, str]) -> Panel:
     best = results.records[results.best_classical(split) or "", split]
-    pairs = {name: SimpleNamespace(**pair["metrics"]["cost"]) for name, pair in against.items()}
+    pairs = {name: estimate(pair, "cost") for name, pair in against.items()}
     figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(pairs)), layout="constrained")
     for height, (name, pair) in enumerate(pairs.items()):
         row, colour = results.records[name, split], colours.get(name, MUTED)
@@ -127,14 +124,13 @@ def _forest(results: Results, split: str, against: dict[str, dict[str, Any]], co
 def _symmetric_log(axis: Axes, unit: float) -> None:
     """Scale an axis linearly within a power of ten near `unit`, logarithmically beyond, with room for the labels."""
 
-    def short(value: float, _: int) -> str:
+    def short(value: float, _: float) -> str:
         size, sign = abs(value), "−" if value < 0 else "+" if value > 0 else ""
         return f"{sign}{size / 1000:g}k" if size >= 1000 else f"{sign}{size:g}"
 
     threshold = 10.0 ** np.round(np.log10(max(unit, 1e-6)))
     axis.set_xscale("symlog", linthresh=threshold, linscale=0.7)
-    axis.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=threshold))
-    axis.xaxis.set_major_formatter(FuncFormatter(short))
+    axis.xaxis.set_major_formatter(short)
     axis.minorticks_off()
     low, high = axis.get_xlim()
     axis.set_xlim(min(1.3 * low, -0.4 * threshold), max(1.3 * high, 0.4 * threshold))
@@ -166,7 +162,7 @@ def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Pan
         ("spectrum after the move", "peak in mm", _spectrum),
     ]
     runs, made = runs_of(scene, colours), []
-    with matplotlib.rc_context(LOOK):
+    with plt.rc_context(LOOK):
         for part, (title, unit, draw) in enumerate(drawn):
             figure = plt.figure(figsize=(WIDTH, 2.7), layout=ConstrainedLayoutEngine(hspace=0, h_pad=0.01))
             values = zip(runs, draw(figure, runs), strict=True)

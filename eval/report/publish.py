@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -79,8 +78,7 @@ def print_results(content: dict[str, Any], console: Console) -> None:
     for sentence in content["verdict"]:
         console.print(escape(sentence), style="bold", highlight=False)
     console.print(escape(results.note), highlight=False)
-    episodes = results.episodes
-    least = f" (of {LEAST_OF_TAIL} scenarios or more)" if episodes < LEAST_OF_TAIL else ""
+    least = f" (of {LEAST_OF_TAIL} scenarios or more)" if results.episodes < LEAST_OF_TAIL else ""
     console.print(
         "*: best of its column; =: not shown to differ from it on this split, in interquartile means; the verdict "
         "tests means too, over all splits. Cost: minus the return, averaged over the middle half of runs; mean: over "
@@ -107,22 +105,21 @@ def _motions(draw: figures.Draw, traces: Sequence[Scene], colours: dict[str, str
     """Draw a motion on each split, by all methods that have a colour."""
     across = min(len(traces), _ACROSS)
     down = -(-len(traces) // across)
-    with matplotlib.rc_context(figures.LOOK):
+    with plt.rc_context(figures.LOOK):
         figure = plt.figure(figsize=(4.2 * across, 3.3 * down + 0.7), layout="constrained")
-        parts = list(figure.subfigures(down, across, squeeze=False).flat)
-        for part, scene in zip(parts, traces, strict=False):
+        for part, scene in zip(figure.subfigures(down, across, squeeze=False).flat, traces, strict=False):
             start, goal = next(iter(scene.motions.values())).moves[0, :2]
             part.suptitle(f"{scene.split}: {scene.title}, {degrees(start)} to {degrees(goal)}", fontsize=10)
             draw(part, figures.runs_of(scene, colours))
-        _finish(figure, note, [axis for part in parts for axis in part.axes])
+        _finish(figure, note)
     return figure
 
 
-def _finish(figure: Figure, note: str, axes: Sequence[Axes]) -> None:
+def _finish(figure: Figure, note: str) -> None:
     """Put a note above a figure and one legend of all its axes below."""
     figure.suptitle(note, fontsize=10, color="0.4")
     entries = {}
-    for axis in axes:
+    for axis in figure.axes:
         entries |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
     figure.legend(entries.values(), entries, loc="outside lower center", ncols=6, frameon=False)
 
@@ -144,7 +141,7 @@ def _answer(results: Results, note: str) -> Figure:
         axis.margins(x=0.12)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_yticks(range(len(rows)), [row["method"] for row in rows])
-    _finish(figure, f"{note}, {results.main}: interquartile means with 95 % intervals{dear}", list(axes))
+    _finish(figure, f"{note}, {results.main}: interquartile means with 95 % intervals{dear}")
     return figure
 
 
@@ -163,7 +160,7 @@ def _intervals(results: Results, note: str) -> Figure:
             axis.set(xlabel=heading(name), yticks=[])
         row[0].set_yticks(range(len(ranking)), [record["method"] for record in ranking], fontsize=8)
         row[0].set_title(split, loc="left", fontsize=11)
-    _finish(figure, f"{note}: interquartile means with 95 % intervals; further left is better", list(axes.flat))
+    _finish(figure, f"{note}: interquartile means with 95 % intervals; further left is better")
     return figure
 
 
@@ -233,9 +230,6 @@ def without_paths(command: str) -> str:
     return " ".join(re.sub(r"^(--[\w-]+=)?(?:~[^/]*)?/(?:.*/)?", r"\1…/", part) for part in shlex.split(command))
 
 
-# Animation
-
-
 def animation(scenes: Sequence[Scene], colours: dict[str, str]) -> dict[str, Any]:
     """Data of the animation, as the page's script reads them: JSON with arrays in base64."""
     return {"period": EVERY * CONTROL_PERIOD, "scenes": [_animated(scene, list(colours)) for scene in scenes]}
@@ -267,8 +261,7 @@ def _frames(recording: Recording) -> np.ndarray:
     chosen, gear_ratio = slice(EVERY - 1, None, EVERY), recording.params[0, COLUMN.gear_ratio]
     state = recording.state[chosen, 0]
     errors = np.clip(1000 * recording.tip_error[chosen, 0], -_LONGEST_MM, _LONGEST_MM)
-    columns = [state[:, 0] / gear_ratio, state[:, 2], errors[:, 0], errors[:, 1], recording.torque[chosen, 0]]
-    return np.column_stack(columns).astype("<f4")
+    return np.column_stack([state[:, 0] / gear_ratio, state[:, 2], errors, recording.torque[chosen, 0]]).astype("<f4")
 
 
 def encode(values: np.ndarray) -> str:
