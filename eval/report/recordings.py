@@ -29,14 +29,13 @@ class Scene:
 
 
 def record_scenes(
-    comparison: Comparison, splits: dict[str, Split], jobs: int | None = None
+    comparison: Comparison, splits: dict[str, Split], jobs: int | None
 ) -> tuple[list[Scene], list[Scene], list[Failure]]:
     """Record the scenes of the report, and on each split the first method's scenario of median error; and failures."""
-    titles: dict[tuple[str, int], str] = {}
+    titles: dict[tuple[str, int], list[str]] = {}
     for title, split, scenario in _notable(comparison):
-        before = titles.get((split, scenario))
-        titles[split, scenario] = f"{before}; {title}" if before else title
-    notable = [Scene(title, *place) for place, title in titles.items()]
+        titles.setdefault((split, scenario), []).append(title)
+    notable = [Scene("; ".join(of_place), *place) for place, of_place in titles.items()]
     first = [comparison.on(split)[0] for split in comparison.splits()]
     traces = [Scene(f"median of {one.name}", one.split, _median(one, "tip_rms_mm")) for one in first]
     recorded, failures = record([*notable, *traces], comparison, splits, _shown(comparison), jobs)
@@ -61,11 +60,10 @@ def _shown(comparison: Comparison) -> list[str]:
     challengers = comparison.challengers(home)
     bases = [outcome for outcome in ranked if challengers and outcome.name == challengers[0].method.base]
     best = [outcome for split in comparison.splits() if (outcome := comparison.best_classical(split))]
-    classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
-    by_cost = sorted(classical, key=lambda outcome: outcome.cost)
+    classical = sorted((o for o in ranked if o.method.kind == "classical"), key=lambda outcome: outcome.cost)
     own = [outcome for outcome in sorted(ranked, key=lambda outcome: outcome.cost) if not is_shipped(outcome.method)]
     needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *own, *bases, *ranked[:1], *best])
-    wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *by_cost])])
+    wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *classical])])
     return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
 
 
@@ -78,17 +76,15 @@ def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
         return []
     lead = challengers[0] if challengers else comparison.best_classical(home) or ranked[0]
     name = lead.name
-    outcomes = [outcome for outcome in comparison.outcomes if outcome.name == name]
-    costs = {outcome.split: outcome.metrics["cost"][lead.median_seed] for outcome in outcomes}
+    costs = {o.split: o.metrics["cost"][lead.median_seed] for o in comparison.outcomes if o.name == name}
     notable = [(f"the median run of {name}", home, _median(lead))]
     notable.append((f"the worst run of {name} on all splits", *_extreme(costs)))
     best = {split: comparison.best_classical(split) for split in costs}
     losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.name != name}
     if losses and challengers:
         notable.append((f"where {name} loses most to the best classical controller", *_extreme(losses)))
-        wins = {split: -values for split, values in losses.items()}
-        split, scenario = _extreme(wins)
-        title = "gains most on" if wins[split][scenario] > 0 else "comes nearest to"
+        split, scenario = _extreme({split: -values for split, values in losses.items()})
+        title = "gains most on" if losses[split][scenario] < 0 else "comes nearest to"
         notable.append((f"where {name} {title} the best classical controller", split, scenario))
     return notable
 
@@ -100,11 +96,7 @@ def _extreme(values: dict[str, np.ndarray]) -> tuple[str, int]:
 
 
 def record(
-    scenes: Sequence[Scene],
-    comparison: Comparison,
-    splits: dict[str, Split],
-    names: Sequence[str],
-    jobs: int | None = None,
+    scenes: Sequence[Scene], comparison: Comparison, splits: dict[str, Split], names: Sequence[str], jobs: int | None
 ) -> tuple[list[Scene], list[Failure]]:
     """Record some methods on some scenarios, each by its training seed of median cost on the main split; and failures.
 
