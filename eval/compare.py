@@ -118,8 +118,7 @@ def run(config: Config) -> None:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
             console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
-    names = ", ".join(scenarios.splits)
-    size = f"Methods: {len(methods)}; splits: {names}; {count} scenarios of each."
+    size = f"Methods: {len(methods)}; splits: {', '.join(scenarios.splits)}; {count} scenarios of each."
     console.print(f"{size} What is done is kept in {config.out}.", soft_wrap=True, highlight=False)
     with progress_count("parts", console) as done:
         comparison = compare(methods, scenarios, count, config.out, config, fresh=config.fresh, done=done)

@@ -37,8 +37,7 @@ class Config:
 
 def run(config: Config) -> None:
     """Find the curves and draw them."""
-    named = config.out.suffix[1:] in FigureCanvasBase.filetypes
-    picture = config.out if named else config.out / "curves.png"
+    picture = config.out if config.out.suffix[1:] in FigureCanvasBase.filetypes else config.out / "curves.png"
     require_writable(picture.parent)
     curves = find_curves(list(config.runs) or shipped_policies())
     save_figure(curves_figure(curves, levels(curves)), picture)

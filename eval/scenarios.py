@@ -33,8 +33,7 @@ def run(config: Config) -> None:
         every.append(sets.load(sets.FILE))
         sets.require_same_physics(every[-1])
     for known in every:
-        label = known.label
-        print(f"{label.title}, edition {EDITION}, version {VERSION}: sha256 {label.sha256}")
+        print(f"{known.label.title}, edition {EDITION}, version {VERSION}: sha256 {known.label.sha256}")
         for name, split in known.splits.items():
             print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
 

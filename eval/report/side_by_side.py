@@ -69,8 +69,7 @@ def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recordi
     Raises:
         ValueError: If it fails.
     """
-    alone = split.part(slice(scenario, scenario + 1))
-    motion = run_controller(method, split.name, partial(play, method, alone, 1))
+    motion = run_controller(method, split.name, partial(play, method, split.part(slice(scenario, scenario + 1)), 1))
     if isinstance(motion, Failure):
         raise ValueError(f"{name} failed on scenario {scenario} of {split.name}: {motion.message}")
     return motion.of_move(loaded(motion.num_moves))
@@ -141,14 +140,12 @@ def _frames(tracks: list[Track], samples: Iterable[int]) -> Iterator[np.ndarray]
         surface.fill(_PAPER)
         for column, track in enumerate(tracks):
             _draw(pygame, surface.subsurface((column * _COLUMN, 0, _COLUMN, _SIZE)), font, track, k, largest)
-        pixels = pygame.image.tobytes(surface, "RGB")
-        yield np.frombuffer(pixels, np.uint8).reshape(_SIZE, _COLUMN * len(tracks), 3)
+        yield np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8).reshape(_SIZE, _COLUMN * len(tracks), 3)
 
 
 def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: tuple[float, float]) -> None:
     state, time = track.motion.state[k, 0], float(track.motion.time[k])
-    params = ArmParams.from_row(track.motion.params[0])
-    picture = track.renderer.draw(params, state, float(track.reference[k]), time)
+    picture = track.renderer.draw(ArmParams.from_row(track.motion.params[0]), state, float(track.reference[k]), time)
     assert picture is not None
     arm = pygame.image.frombuffer(picture.tobytes(), (WIDTH, HEIGHT), "RGB")
     surface.blit(pygame.transform.smoothscale(arm, (_COLUMN, _PICTURE)), (0, _TITLE))
