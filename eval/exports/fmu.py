@@ -102,12 +102,11 @@ def variables(params: ArmParams) -> list[Variable]:
         description, unit = f"{title}: {text}" if text else title, unit if unit in _UNITS else ""
         reals.append((name, description, "parameter", unit, start, bounds_of(name)[:2]))
     rest = "Joint angle theta_a / G at which the arm rests at the start"
-    command = "Torque command, sampled and held over a control period; cut at torque_limit"
     turn = "Counts of the encoder per turn of the motor"
     *outputs, count = ((name, text, "output", unit) for name, (unit, text) in OUTPUTS.items())
     reals += [
         ("initial_joint_angle", rest, "parameter", "rad", 0.0, (LOWEST, HIGHEST)),
-        ("torque", command, "input", "N m", 0.0),
+        ("torque", "Torque command, sampled and held over a control period; cut at torque_limit", "input", "N m", 0.0),
         *outputs,
     ]
     integers = [("counts_per_turn", turn, "parameter", "", ENCODER_COUNTS, (1, MOST_COUNTS)), count]
@@ -183,18 +182,16 @@ def write_fmu(path: Path, params: ArmParams, native: bool = False) -> list[str]:
 
 def packed(params: ArmParams, native: bool = False) -> tuple[bytes, list[str], dict[str, str]]:
     """Compile an arm's FMU and pack it; return the platforms of its binaries too, and why others failed."""
-    texts = fmu_texts(params)
-    files = {name: text.encode() for name, text in texts.items()}
+    files = {name: text.encode() for name, text in fmu_texts(params).items()}
     made, failed = list[str](), dict[str, str]()
     with tempfile.TemporaryDirectory() as folder:
-        for name, text in texts.items():
-            (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
-        sources = [Path(folder) / "fmu.c"]
+        for name, content in files.items():
+            (Path(folder) / Path(name).name).write_bytes(content)
         for kind, suffix, toolchain in progress_over("platforms", islice(_toolchains(), 1 if native else None)):
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)
             try:
-                toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
+                toolchain.build([Path(folder) / "fmu.c"], library, "-fvisibility=hidden", "-shared", *position)
             except ValueError as error:
                 if not made:  # only this machine's own is needed
                     raise

@@ -99,9 +99,8 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     from huggingface_hub import ModelCard
 
     _, _, content, data = read_bundle(options.policy)
-    about = ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")
     config: dict[str, Any] = {"format": FORMAT, "environment": ENVIRONMENT, "policy": POLICY_FILE}
-    config |= {key: content[key] for key in about}
+    config |= {key: content[key] for key in ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")}
     text = markdown(scores) if scores else ""
     made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
     if scores:

@@ -69,11 +69,10 @@ def scores_of(policy: Path, digest: str, path: Path) -> Scores | None:
     method = _method_of(digest, results, path)
     if method is None:
         return None
-    scenarios = set_of(results, path)
     scores = Scores(Results(results), sha256_of(path), method, np.empty(0))
     home, row = next(iter(scores.rows.items()))
     count = min(row["episodes"], EPISODES)  # a fresh set may have more than fit into memory at once
-    arguments = scenarios.splits[home].shortened(row["moves"]).arguments(slice(count))
+    arguments = set_of(results, path).splits[home].shortened(row["moves"]).arguments(slice(count))
     run = rollout(load_controller(policy), count, sensors=read_spec(policy)[0].sensors, **arguments)
     return replace(scores, rewards=-run.num_moves * run.over_moves(run.cost))
 
