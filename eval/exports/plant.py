@@ -34,7 +34,6 @@ OUTPUTS = {
 """Outputs with unit and description."""
 _MOST_COUNTS = 2.0**31 - 1
 _LOW, _HIGH, _ABOVE, _WHOLE = map(np.array, zip(*map(bounds_of, FIELDS), strict=True))
-_JOINT_ANGLE = len(FIELDS)
 
 
 class Memory(NamedTuple):
@@ -50,14 +49,8 @@ class Memory(NamedTuple):
 
 def empty_memory(lanes: int = LANES) -> Memory:
     """Memory of an arm, for a number of lanes per block."""
-    return Memory(
-        np.zeros(len(FIELDS)),
-        np.zeros(at.ROWS * lanes),
-        np.zeros(at.ROWS * lanes),
-        np.zeros(WORK_ROWS * lanes),
-        np.zeros(lanes),
-        np.zeros(len(OUTPUTS)),
-    )
+    lengths = (len(FIELDS), at.ROWS * lanes, at.ROWS * lanes, WORK_ROWS * lanes, lanes, len(OUTPUTS))
+    return Memory(*map(np.zeros, lengths))
 
 
 def _allowed(name: str) -> str:
@@ -85,10 +78,10 @@ def refusal(memory: Memory, joint_angle: float) -> int:
         if not inside or (_ABOVE[k] and value == _LOW[k]) or (_WHOLE[k] and not whole):
             return 1 + k
     if not (LOWEST <= joint_angle and joint_angle <= HIGHEST):
-        return 1 + _JOINT_ANGLE
+        return 1 + len(FIELDS)
     number = 0
     for k, limit in enumerate(integration_limits(memory.constants, LUMPED)):
-        number = 2 + _JOINT_ANGLE + k if limit > 1.0 and number == 0 else number
+        number = 2 + len(FIELDS) + k if limit > 1.0 and number == 0 else number
     return number
 
 
