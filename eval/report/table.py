@@ -162,8 +162,13 @@ class Results:
     def note(self) -> str:
         """Sentences about what the numbers are worth."""
         shipped = {folder.parent.name for folder in shipped_policies()}
-        names = [row["method"] for row in self.methods if row["kind"] in ("added", "learned")]
-        return self.label.note_with([name for name in names if name.removesuffix("+guard") not in shipped])
+        own = [
+            row["method"]
+            for row in self.methods
+            if row["kind"] == "added"
+            or (row["kind"] == "learned" and row["method"].removesuffix("+guard") not in shipped)
+        ]
+        return self.label.note_with(own)
 
     def seed_note(self, methods: Iterable[str]) -> str:
         """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
