@@ -126,6 +126,7 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
         f"vector step{end}": stepped("ideal"),
         f"vector step, {cores} threads{end}": stepped("ideal", num_threads=cores),
         f"vector step{_DRIVE}{end}": stepped("train"),
+        f"vector step{_DRIVE}, a fifth of the torques{end}": stepped("train", share=0.2),
         f"vector step of the full arm{end}": stepped("ideal", model="lagrangian"),
     }
     episodes = {
@@ -151,8 +152,13 @@ def single_rows(steps: int, repetitions: int) -> list[Row]:
             if terminated or truncated:
                 env.reset()
 
-    arm, cart = ((count, partial(run, env, _actions(env))) for env in map(gym.make, ("BeltArm-v0", _PEER)))
-    return beside(_PEER, cart, {"single step through make": arm}, repetitions)
+    def stepped(name: str, **settings: Any) -> Work:
+        env = gym.make(name, **settings)
+        return count, partial(run, env, _actions(env))
+
+    drives: dict[str, Randomization] = {"": "off", _DRIVE: "train"}
+    arms = {f"single step through make{end}": stepped("BeltArm-v0", randomization=drives[end]) for end in drives}
+    return beside(_PEER, stepped(_PEER), arms, repetitions)
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
@@ -203,10 +209,10 @@ def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row
     return beside(peer, learned(alone), runs, min(repetitions, _MOST_TRAININGS))
 
 
-def batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
-    """Steps of a vector environment under random actions."""
+def batch_steps(name: str, arms: int, steps: int, share: float = 1, **settings: Any) -> Callable[[], None]:
+    """Steps of a vector environment under random actions, or under a share of each."""
     env = gym.make_vec(name, num_envs=arms, vectorization_mode="vector_entry_point", **settings)
-    actions = _actions(env)
+    actions = [action if share == 1 else share * action for action in _actions(env)]
     return partial(_step, env, [actions[step % len(actions)] for step in range(steps)])
 
 

@@ -22,6 +22,7 @@ from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, heading
 from beltarm_env.rollout import Recording, rollout
+from beltarm_env.task.ranges import PRESLIDING, TRAIN_RANGES
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
@@ -48,8 +49,8 @@ PAIRS = (
 """Differences of costs that are shown: of a controller in its second trial or the last, from another controller."""
 KINDS = {
     "nominal": ("off", "the nominal arm with an ideal drive, random moves"),
-    "ideal": ("ideal", "arms from the training ranges, but with an ideal drive"),
     "randomized": ("train", "arms and drives from the training ranges"),
+    "giving": ({**TRAIN_RANGES, **PRESLIDING}, "the same, with motors that give by 0.3 to 5 mrad"),
 }
 """The environment's randomization, and what it is, by name."""
 _MOTOR_RMS = "motor_rms_mrad"
@@ -65,7 +66,7 @@ class Options(StudyOptions):
     bounds = Bounds(arms=(4, REPETITION.size), repetitions=(2, 100), jobs=(1, 256))
 
     kinds: tuple[str, ...] = ()
-    """Kinds of arms: nominal, ideal, randomized. Default: all."""
+    """Kinds of arms: nominal, randomized, giving. Default: all."""
     arms: int = 100
     """Arms of each kind, 4 to 1000."""
     repetitions: int = 20

@@ -154,6 +154,7 @@ def _rows(
                 "chain": step in CHAIN,
                 "cost": average("cost", cost.ravel()),
                 "first": average("cost", cost[:, : options.arms].ravel()),
+                "later": average("cost", cost[:, options.arms :].ravel()) if options.moves > 1 else None,
                 **{name: average(name, np.concatenate([row[name] for row in metrics])) for name in SHOWN},
                 "still": {"median": np.median(still), "late": np.percentile(still, 95)},
                 "mean": cost.mean(),

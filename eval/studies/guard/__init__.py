@@ -52,7 +52,7 @@ class Options(StudyOptions):
     """Splits on which nothing breaks. Default: all."""
     arms: int = 60
     """Arms on which something breaks, 1 to 10000."""
-    episodes: int = 20
+    episodes: int = 40
     """Scenarios per split, 4 to 200."""
     jobs: int | None = None
     """Number of processes. Default: one per core."""
