@@ -36,6 +36,7 @@ from beltarm_env.rollout import Controller, check_data_sheet, check_profile, nom
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import EDITION
 from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_SEED, dataset_arms
+from beltarm_env.task.shift import MOST_MOVES
 from beltarm_env.timing import EPISODE_STEPS
 from eval.comparison.methods import methods_side_by_side
 from eval.exports.source import TEMPLATES
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
 
 PIECE = 384
-"""Episodes that are simulated and written together: 70 MB."""
+"""Moves that are simulated and written together: 70 MB."""
 SCORED = 100
 """Arms of each reference score."""
 EXPERT = POLICIES / "student" / "seed0"
@@ -82,6 +83,8 @@ class Options:
     """Datasets of different seeds have different arms and moves."""
     randomization: Literal["off", "ideal", "train"] = "train"
     """Ranges that arms are drawn from."""
+    moves: int = 1
+    """Moves of an episode, 1 to 1000. With several it is a working shift."""
     sensors: Sensors = "encoder"
     """What the observations hold."""
     overwrite: bool = False
@@ -95,7 +98,8 @@ class Options:
 
 def export(options: Options) -> None:
     """Run the controllers and write the dataset."""
-    require_bounds(options, episodes=(1, DATASET_SPACING), seed=(0, MAX_DATASET_SEED), disturbed=(0, 1))
+    require_bounds(options, episodes=(1, DATASET_SPACING), moves=(1, MOST_MOVES))
+    require_bounds(options, seed=(0, MAX_DATASET_SEED), disturbed=(0, 1))
     try:
         import h5py  # noqa: F401  # which Minari imports as it writes
         from minari.dataset.minari_dataset import parse_dataset_id
@@ -143,13 +147,13 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
     """Create the dataset, piece by piece: no more episodes than one piece are held in memory."""
     import minari
 
-    settings: dict[str, Any] = {"randomization": options.randomization, "sensors": options.sensors}
+    settings: dict[str, Any] = {name: getattr(options, name) for name in ("randomization", "moves", "sensors")}
     usual = not options.controller and not options.policy
     sources = (("paper", "adaptive"), (EXPERT,)) if usual else (options.controller, options.policy)
     methods = dict(methods_side_by_side(*sources))
     controllers = {name: method.controller(0) for name, method in methods.items()}
     names, share = ", ".join(methods), f"{100 * options.disturbed:g} %"
-    low, high = reference_scores(options.randomization)
+    low, high = reference_scores(options.randomization, options.moves)
     spec = gymnasium.make("BeltArm-v0", **settings).spec
     about: dict[str, Any] = {
         "algorithm_name": f"{names}; {share} of the episodes disturbed by random torques",
@@ -158,7 +162,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
         "ref_min_score": low,
         "ref_max_score": high,
         "num_episodes_average_score": SCORED,
-        "description": TEMPLATES.get_template("dataset.txt.j2").render(names=names, share=share),
+        "description": TEMPLATES.get_template("dataset.txt.j2").render(names=names, share=share, moves=options.moves),
         "requirements": [f"beltarm-env=={__version__}"],
     }
     more = {
@@ -192,9 +196,9 @@ def pieces(
     controllers: Mapping[str, Controller], options: Options, settings: Mapping[str, Any]
 ) -> Iterator[tuple[list["EpisodeBuffer"], list[dict[str, Any]]]]:
     """Run controllers in turn on the arms of a dataset, and return episodes with the metadata of each."""
-    first = dataset_arms(options.seed).first
-    for begin in range(first, first + options.episodes, PIECE):
-        seeds = range(begin, min(begin + PIECE, first + options.episodes))
+    first, piece = dataset_arms(options.seed).first, max(PIECE // options.moves, 1)
+    for begin in range(first, first + options.episodes, piece):
+        seeds = range(begin, min(begin + piece, first + options.episodes))
         by_seed = {}
         for k, (name, controller) in enumerate(controllers.items()):
             if own := [seed for seed in seeds if (seed - first) % len(controllers) == k]:
@@ -203,7 +207,7 @@ def pieces(
         yield list(buffers), list(metadata)
 
 
-def reference_scores(randomization: str) -> tuple[float, float]:
+def reference_scores(randomization: str, moves: int) -> tuple[float, float]:
     """Mean returns of uniform random torques and of the expert, sums of rewards that are not discounted."""
     rng = np.random.default_rng(DATASET_SCORES.first)
 
@@ -211,9 +215,9 @@ def reference_scores(randomization: str) -> tuple[float, float]:
         def predict(self, observation: Singles, *_: Any, **__: Any) -> tuple[Singles, None]:
             return rng.uniform(-1, 1, (len(observation), 1)).astype(np.float32), None
 
-    arms = {"seed": DATASET_SCORES.first, "randomization": randomization}
-    low, high = (rollout(each, SCORED, **arms).cost for each in (RandomTorques(), load_controller(EXPERT)))
-    return -float(np.mean(low)), -float(np.mean(high))
+    task: dict[str, Any] = {"seed": DATASET_SCORES.first, "randomization": randomization, "moves": moves}
+    low, high = (rollout(each, SCORED, **task).cost for each in (RandomTorques(), load_controller(EXPERT)))
+    return -moves * float(np.mean(low)), -moves * float(np.mean(high))
 
 
 class Disturbance(NamedTuple):
@@ -225,17 +229,17 @@ class Disturbance(NamedTuple):
     alone: Flags  # where it is the torque by itself    (T,)
 
 
-def draw_disturbance(seed: int, share: float) -> Disturbance:
+def draw_disturbance(seed: int, share: float, samples: int) -> Disturbance:
     """Draw the disturbance of an episode; a share of all episodes is disturbed, half of them in either way."""
     random = np.random.default_rng((seed, _STREAM))
     disturbed, way = random.random() < share, KINDS[1 + random.integers(2)]
     kind = way if disturbed else "none"
     size = LARGEST[kind] * random.random()
-    fresh, before = random.standard_normal(EPISODE_STEPS), random.standard_normal()
+    fresh, before = random.standard_normal(samples), random.standard_normal()
     noise, _ = lfilter([np.sqrt(1 - MEMORY**2)], [1, -MEMORY], fresh, zi=[MEMORY * before])
-    alone = np.zeros(EPISODE_STEPS, np.bool_)
+    alone = np.zeros(samples, np.bool_)
     begin = random.exponential(GAP)
-    while kind == "stretches" and begin < EPISODE_STEPS:
+    while kind == "stretches" and begin < samples:
         end = begin + random.integers(*STRETCH, endpoint=True)
         alone[int(begin) : int(end)] = True
         begin = end + random.exponential(GAP)
@@ -256,7 +260,7 @@ def run_episodes(
     """
     from minari.data_collector import EpisodeBuffer
 
-    disturbances = [draw_disturbance(seed, share) for seed in seeds]
+    disturbances = [draw_disturbance(seed, share, EPISODE_STEPS * settings["moves"]) for seed in seeds]
     noise, alone = (np.stack([getattr(each, name) for each in disturbances], axis=1) for name in ("noise", "alone"))
     env = BeltArmVectorEnv(len(seeds), autoreset_mode=AutoresetMode.DISABLED, **settings)
     seen, _ = env.reset(seed=seeds)
@@ -264,7 +268,7 @@ def run_episodes(
     check_profile(controller, env.profile)
     params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
     samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []
-    for k in range(EPISODE_STEPS):
+    for k in range(len(noise)):
         action, memory = controller.predict(seen, memory, start, deterministic=True)
         own = np.clip(action[:, 0], -1, 1)
         torques = np.clip(~alone[k] * own + noise[k], -1, 1)[:, None]

@@ -99,7 +99,7 @@ def test_metadata(dataset: Any, monkeypatch: pytest.MonkeyPatch):
     assert known["beltarm"]["disturbed"] == 0.5 and list(minari.list_local_datasets()) == [ID]
     monkeypatch.delitem(gymnasium.registry, "BeltArm-v0")
     env = dataset.recover_environment(eval_env=True)
-    assert env.spec.kwargs == {"randomization": "train", "sensors": "encoder"}
+    assert env.spec.kwargs == {"randomization": "train", "moves": 1, "sensors": "encoder"}
     assert env.observation_space == dataset.observation_space and env.action_space == dataset.action_space
 
 
@@ -113,7 +113,7 @@ def test_controllers_of_one_name_are_told_apart(tmp_path: Path):
 
 def test_an_episode_is_the_same_in_any_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """And other sensors only add to the observation."""
-    monkeypatch.setattr(written, "reference_scores", lambda _: (-2.0, -1.0))
+    monkeypatch.setattr(written, "reference_scores", lambda *_: (-2.0, -1.0))
     arguments = ("--disturbed", "1", "--controller", "paper", "--episodes", "5", "--out", str(tmp_path))
     assert stopped(export.main, ("dataset", *arguments, "--id", "a-v0"), tmp_path) == (0, "")
     monkeypatch.setattr(written, "PIECE", 3)
@@ -123,6 +123,20 @@ def test_an_episode_is_the_same_in_any_piece(tmp_path: Path, monkeypatch: pytest
     for a, b in zip(whole, pieces, strict=True):
         assert a.actions.tobytes() == b.actions.tobytes() and a.rewards.tobytes() == b.rewards.tobytes()
         np.testing.assert_array_equal(a.observations, b.observations[:, : a.observations.shape[1]])
+
+
+def test_an_episode_may_be_a_shift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(written, "reference_scores", lambda *_: (-2.0, -1.0))
+    arguments = ("--moves", "2", "--controller", "paper", "--episodes", "2", "--out", str(tmp_path), "--id", "a-v0")
+    assert stopped(export.main, ("dataset", *arguments), tmp_path) == (0, "")
+    dataset = minari.MinariDataset(tmp_path / "a-v0" / "data")
+    env = dataset.recover_environment()
+    for episode, about in zip(dataset, metadata(dataset), strict=True):
+        seen, _ = env.reset(seed=about["seed"])
+        for action, expected in zip(episode.actions, episode.observations, strict=False):
+            assert seen.tobytes() == expected.tobytes()
+            seen, _, _, truncated, info = env.step(action)
+        assert truncated and len(episode) == 2400 and 0 < info["move_cost"] < about["cost"]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +163,7 @@ def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_dataset_is_replaced_only_if_asked_and_by_a_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(written, "reference_scores", lambda _: (-2.0, -1.0))
+    monkeypatch.setattr(written, "reference_scores", lambda *_: (-2.0, -1.0))
     monkeypatch.setattr(written, "PIECE", 1)
     arguments, data = (*SMALL, "--out", str(tmp_path), "--id", "one/two-v0"), tmp_path / "one/two-v0/data"
     pieces, file = written.pieces, data / "main_data.hdf5"
