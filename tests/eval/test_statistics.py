@@ -25,7 +25,7 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say():
         tables = rng.normal(2, 1, (60, 1, 40)) + effects
         found = [estimate(table, mean=seeds > 1) for table in tables]
         hits = sum(each.low <= 2.0 <= each.high for each in found)
-        assert hits >= 50  # 57 expected of 60; fewer than 50 has a probability below 1e-3
+        assert 50 <= hits < 60  # 57 expected of 60; fewer than 50 has a probability below 1e-3
         assert estimates(tables[:4], mean=seeds > 1) == found[:4], "several together are each by itself"
 
 
@@ -79,13 +79,12 @@ def test_few_scenarios_say_nothing(count: int, told: bool):
 
 
 def test_p_values_of_one_seed_are_those_of_a_trimmed_t_test_where_it_is_the_larger():
-    """Where the interval of SciPy's trimmed mean just touches zero, p is 0.05."""
-    rng = np.random.default_rng(11)
-    for _ in range(20):
-        values = rng.normal(size=(1, 24))
-        low, high = trimmed_mean_ci(values[0], (0.25, 0.25), alpha=0.05)
-        assert paired(values - low, np.zeros((1, 24))).p >= 0.05 - 1e-9
-        assert paired(values - high, np.zeros((1, 24))).p >= 0.05 - 1e-9
+    """Where the interval of SciPy's trimmed mean just touches zero, p is 0.05, or the bootstrap's if that is larger."""
+    rng, found = np.random.default_rng(11), list[float]()
+    for values in rng.normal(size=(20, 1, 24)):
+        ends = trimmed_mean_ci(values[0], (0.25, 0.25), alpha=0.05)
+        found += [paired(values - end, np.zeros((1, 24))).p for end in ends]
+    assert min(found) == pytest.approx(0.05) and np.count_nonzero(np.isclose(found, 0.05)) > len(found) / 2
 
 
 def rejected(p_values: list[float], level: float) -> set[int]:

@@ -30,7 +30,7 @@ def test_help_is_plain_and_fits(command: str, monkeypatch: pytest.MonkeyPatch, c
     for columns in (200, 60) if command == COMMANDS[0] else (60,):
         monkeypatch.setenv("COLUMNS", str(columns))
         shown = help_of(command, capfd)
-        assert max(len(line) for line in shown.splitlines() if line[:1] in "╭│╰") <= columns
+        assert max(len(line) for line in shown.splitlines() if line.startswith(("╭", "│", "╰"))) <= columns
     usage, purpose, *_ = shown.split("\n\n")
     assert usage.startswith(f"usage: {command.split()[0]}") and len(purpose.split()) > 3
     for clutter in ("None", "(default: )", "''", "True", "False", "]]", str(ROOT)):

@@ -132,11 +132,11 @@ def test_an_episode_may_be_a_shift(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     dataset = minari.MinariDataset(tmp_path / "a-v0" / "data")
     env = dataset.recover_environment()
     for episode, about in zip(dataset, metadata(dataset), strict=True):
-        seen, _ = env.reset(seed=about["seed"])
+        seen, info = env.reset(seed=about["seed"])
         for action, expected in zip(episode.actions, episode.observations, strict=False):
             assert seen.tobytes() == expected.tobytes()
-            seen, _, _, truncated, info = env.step(action)
-        assert truncated and len(episode) == 2400 and 0 < info["move_cost"] < about["cost"]
+            seen, *_, info = env.step(action)
+        assert episode.truncations[-1] and len(episode) == 2400 and 0 < info["move_cost"] < about["cost"]
 
 
 @pytest.mark.parametrize(
