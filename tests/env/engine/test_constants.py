@@ -1,6 +1,7 @@
 """Kernels with other constants: the same equations for blocks of another size."""
 
 import sys
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -55,3 +56,25 @@ def test_a_note_is_found_again_unless_a_value_that_the_kernel_was_made_with_is_a
             patch.setattr(f"{module}.{name}", 12345)
             assert library._read(library._note_of(words)) is None
     assert library._read(library._note_of(words)) == found
+
+
+@pytest.mark.skipif(PLAIN, reason="kernels run in plain Python")
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda note: note[: len(note) // 2],
+        lambda _: "",
+        lambda _: "[]",
+        lambda note: note.replace('"read"', '"red"'),
+        lambda note: note.replace('"object": "', '"object": 1, "is": "'),
+        lambda note: note.replace("tuple", "triple").replace("array", "arrow"),
+    ],
+)
+def test_a_damaged_note_is_as_good_as_none(damage: Any, tmp_path: Path):
+    kernel: Any = for_lanes(cast("Any", tip_errors), 1)
+    given = empty_blocks(1, 1), np.zeros((1, 4)), 0, None
+    kernel(*given)
+    whole, copy = library._note_of(library.words_of(kernel.py_func, types_of(given), False)), tmp_path / "note.json"
+    assert whole is not None
+    copy.write_text(damage(whole.read_text()))
+    assert library._read(copy) is None and library._read(whole) is not None
