@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from properties import examples
 from translating import Calls, Cases, Kernel, same
 
-from beltarm_env.engine import compiled
+from beltarm_env.engine import ENGINE, compiled
 from beltarm_env.engine.words import add, look
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sine_cosine
 
@@ -321,7 +321,11 @@ ELEMENTARY: dict[Kernel, list[tuple[float, float]]] = {
 @pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(name: str):
-    CASES.check(name)
+    if name == "wrapped" and ENGINE == "checked":
+        with pytest.raises(ValueError, match="beyond 64 bits"):
+            CASES.check(name)
+    else:
+        CASES.check(name)
 
 
 @pytest.mark.parametrize("function", ELEMENTARY, ids=lambda function: function.__name__)
