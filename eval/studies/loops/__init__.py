@@ -110,13 +110,13 @@ def worst(name: str, values: Floats) -> dict[str, Any]:
 
 def gains(name: str) -> dict[str, Any]:
     """Gains of a controller with the ranges that are searched, and the provenance of their tuning, if there was one."""
-    own = CONTROLLERS[name]().gains
-    origin = read_file().get(name, {}).get("provenance") if name in TUNABLE else None
+    own, tuned = CONTROLLERS[name]().gains, name in TUNABLE
+    origin = read_file().get(name, {}).get("provenance") if tuned else None
     shown = ("command", "seed", "steps", "trials", "refused", "seconds", "date", "commit", "cost_untuned", "cost")
     return {
         "law": type(own).__name__,
         "values": [
-            {"name": gain.name, "value": getattr(own, gain.name), "searched": dict(gain.metadata) or None}
+            {"name": gain.name, "value": getattr(own, gain.name), "searched": (tuned and dict(gain.metadata)) or None}
             for gain in fields(own)
         ],
         "tuning": origin and {key: origin[key] for key in (*shown, "measured_on")},
