@@ -2,7 +2,7 @@
 
 from baselines import CONTROLLERS
 from baselines.loops.condition import least_margins
-from eval.studies.loops import NONE_LEFT, scan
+from eval.studies.loops import NONE_LEFT, gains, scan
 
 
 def test_the_worst_margins_are_those_of_the_condition():
@@ -14,3 +14,8 @@ def test_the_worst_margins_are_those_of_the_condition():
     assert found["over_arms"]["modulus"].min() == found["modulus_by_arm"].min() == least.modulus
     assert not unstable["stable"] and unstable["slowest"] > 0
     assert {name: worst["value"] for name, worst in unstable["worst"].items()} == NONE_LEFT
+
+
+def test_only_gains_that_were_tuned_have_a_range():
+    assert [value["searched"] for value in gains("paper")["values"]] == [None] * 3
+    assert all(value["searched"]["low"] < value["value"] < value["searched"]["high"] for value in gains("adrc")["values"])
