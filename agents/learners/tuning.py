@@ -109,7 +109,7 @@ class TuningConfig(SideBySide):
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """Options of the training run of a trial."""
         kind: Any = ALGORITHMS[self.algorithm]
-        shared = {"out": self.out / f"{self.algorithm}-trial{number}", "base": self.base}
+        shared = {"out": self.out / f"{self.algorithm}-trial{number}", **self.given()}
         options = {**kind(**shared).usual(), **settings}
         if "hidden" in settings:
             options["hidden"] = [int(width) for width in settings["hidden"].split()]
@@ -117,6 +117,10 @@ class TuningConfig(SideBySide):
         options |= {"arms": self.arms, "validation_arms": self.validation_arms, "total_steps": steps}
         options["validation_every"] = max(steps // _VALIDATIONS, 1)
         return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **shared, **options)
+
+    def given(self) -> dict[str, Any]:
+        """Options of all trials that are not the script's own: the base, and no teacher, whose samples would count."""
+        return {"base": self.base, **({"teacher_rounds": 0} if self.algorithm == "ppo" else {})}
 
     def defaults(self) -> dict[str, Any]:
         """Settings that the algorithm has by default, as the study notes them."""
@@ -261,7 +265,7 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
     if not any(trial.state == TrialState.COMPLETE for trial in trials):
         failures = filter(None, (trial.user_attrs.get("failure") for trial in trials))
         raise ValueError(f"no trial of {config.file('journal')} was completed; {next(failures, 'none was run')}")
-    options = {"base": config.base, **study.best_params}
+    options = {**config.given(), **study.best_params}
     arguments = list[str]()
     for name, value in options.items():
         shown = f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -66,8 +66,8 @@ _STREAM = 1  # another one than that which the arm is drawn from
 class Options:
     """Write a dataset for offline learning."""
 
-    id: str = "beltarm/randomized/mixed-v0"
-    """Name of the dataset."""
+    id: str = ""
+    """Name of the dataset. Default: beltarm/randomized/mixed-v0, or of several moves beltarm/shift/mixed-v0."""
     out: Path = Path("results/datasets")
     """Folder that datasets are in: MINARI_DATASETS_PATH, where Minari is to find it."""
     controller: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -93,7 +93,12 @@ class Options:
     @property
     def path(self) -> Path:
         """Folder of the dataset."""
-        return self.out / self.id
+        return self.out / self.name
+
+    @property
+    def name(self) -> str:
+        """Name of the dataset."""
+        return self.id or f"beltarm/{'randomized' if self.moves == 1 else 'shift'}/mixed-v0"
 
 
 def export(options: Options) -> None:
@@ -107,9 +112,9 @@ def export(options: Options) -> None:
         raise DependencyNotInstalled("datasets need Minari: pip install 'beltarm-env[minari]'") from None
     path = options.path
     try:
-        parse_dataset_id(options.id)
+        parse_dataset_id(options.name)
     except (TypeError, ValueError):  # TypeError where there is no version
-        raise ValueError(f"--id must be like beltarm/randomized/mixed-v0, got {options.id!r}") from None
+        raise ValueError(f"--id must be like beltarm/randomized/mixed-v0, got {options.name!r}") from None
     if path.exists() and not (path / "data" / "metadata.json").is_file():
         raise ValueError(f"{path} is there and is no dataset: choose another --id or --out")
     if path.exists() and not options.overwrite:
@@ -121,7 +126,7 @@ def export(options: Options) -> None:
     costs = pd.DataFrame(metadata).pivot_table("cost", "controller", "disturbance")
     print("mean cost", costs.round().to_string(na_rep="–"), sep="\n")
     print(f"written to {path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
-    print(f'  dataset = minari.load_dataset("{options.id}")')
+    print(f'  dataset = minari.load_dataset("{options.name}")')
 
 
 def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
@@ -132,14 +137,14 @@ def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[
     from minari.namespace import create_namespace, list_local_namespaces
 
     folder = options.out.resolve()  # Minari does not find the size of a dataset with a relative path
-    namespace = options.id.rpartition("/")[0]
+    namespace = options.name.rpartition("/")[0]
     with tempfile.TemporaryDirectory(dir=folder, prefix=".dataset-") as made:
         with patch.dict(os.environ, MINARI_DATASETS_PATH=made):
             metadata = _fill(options, done)
         with patch.dict(os.environ, MINARI_DATASETS_PATH=str(folder)):
             if namespace and namespace not in list_local_namespaces():
                 create_namespace(namespace)
-        replace_folder(options.path, Path(made) / options.id)
+        replace_folder(options.path, Path(made) / options.name)
     return metadata
 
 
@@ -181,7 +186,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message="`author_email` is set to None")  # there is none
                 dataset = minari.create_dataset_from_buffers(
-                    options.id, buffers, env=spec, eval_env=spec, data_format="hdf5", **about
+                    options.name, buffers, env=spec, eval_env=spec, data_format="hdf5", **about
                 )
             dataset.storage.update_metadata({"beltarm": more})
         else:

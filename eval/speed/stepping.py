@@ -181,7 +181,7 @@ def rollout_rows(repetitions: int) -> list[Row]:
 
 
 def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row]:
-    """Speed of the loop of `train/ppo.py`, rollout and update, beside one over single arms with as many samples."""
+    """Speed of the loop of PPO on `paper`, rollout and update, beside one over single arms with as many samples."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv

@@ -1,6 +1,7 @@
 """Learners: actors of their policies, bundles, seeds, rates, options that are refused, and the search for options."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -119,8 +120,8 @@ def few(out: Path, **options: Any) -> TuningConfig:
 
 def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
     assert set(SPACES) == set(ALGORITHMS) - {"student"}
-    for algorithm, space in SPACES.items():
-        config = TuningConfig(algorithm, out=tmp_path)
+    for (algorithm, space), base in product(SPACES.items(), ("paper", "adaptive")):
+        config = TuningConfig(algorithm, out=tmp_path, base=base)
         settings, own = config.defaults(), config.run({}, 3)
         for name, distribution in space.items():
             assert distribution._contains(distribution.to_internal_repr(settings[name])), name

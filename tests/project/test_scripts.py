@@ -12,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import ROOT, mistake, started, stopped
@@ -95,8 +96,9 @@ def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_
         assert named in mistake(train_ppo, again, tmp_path)
 
 
-def test_several_seeds_are_resumed_with_the_options_of_their_command(tmp_path: Path) -> None:
-    config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2)
+@pytest.mark.parametrize("others", [{}, {"base": "paper"}, {"base": "paper", "teacher_rounds": 0, "moves": 1}])
+def test_several_seeds_are_resumed_with_the_options_of_their_command(others: Any, tmp_path: Path) -> None:
+    config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2, **others)
     note_options(config.out / COMMAND, config)
     told = ("--out", str(config.out), "--resume")
     assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == replace(config, resume=True)
