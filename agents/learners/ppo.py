@@ -121,43 +121,41 @@ class PpoConfig(OnPolicyConfig):
     critic_steps: int = 140_000
     """Agent steps, after those rounds, in which the critic learns alone."""
 
+    def __post_init__(self) -> None:
+        """Fill in the rounds that stand where none are given."""
+        if self.teacher_rounds is None:
+            object.__setattr__(self, "teacher_rounds", 10 if self.base == "adaptive" else 0)
+
     def usual(self) -> dict[str, Any]:
         """Options that stand for those not given, see `RunConfig.usual`."""
-        return {} if self.lessons else ALONE
-
-    @property
-    def lessons(self) -> int:
-        """Rounds of the teacher, those that stand where none are given included."""
-        if self.teacher_rounds is None:
-            return 10 if self.base == "adaptive" else 0
-        return self.teacher_rounds
+        return {} if self.teacher_rounds else ALONE
 
     @property
     def length(self) -> int:
         """Agent steps of the whole run, those of the teacher's rounds included."""
-        return self.total_steps + (self.student().length if self.lessons else 0)
+        return self.total_steps + (self.student().length if self.teacher_rounds else 0)
 
     @property
     def layers(self) -> dict[str, Any]:
         """What the actor has besides hidden layers; inputs are standardised by those of the teacher's first round."""
-        return {"standardised": True} if self.lessons else {}
+        return {"standardised": True} if self.teacher_rounds else {}
 
     def student(self) -> StudentConfig:
         """Options of the student that the actor is in the teacher's rounds; those not named here are its own."""
         shared = {each.name: getattr(self, each.name) for each in fields(RunConfig) if each.name != "learning_rate"}
-        own = {"rounds": self.lessons, "arms": self.teacher_arms, "gru_width": 0, "epochs": 3}
+        own = {"rounds": self.teacher_rounds, "arms": self.teacher_arms, "gru_width": 0, "epochs": 3}
         return StudentConfig(**{**shared, **own})
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, None))
-        if self.lessons:
+        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, self.total_steps))
+        if self.teacher_rounds:
             self.student().check()
         super().check()
 
     def make_learner(self) -> ModelLearner:
         """Make an untrained learner."""
-        return TaughtLearner(self) if self.lessons else super().make_learner()
+        return TaughtLearner(self) if self.teacher_rounds else super().make_learner()
 
     @property
     def worst_reward(self) -> float:
@@ -168,7 +166,7 @@ class PpoConfig(OnPolicyConfig):
         """Make an untrained model, whose learning rate will fall linearly to zero."""
         with warnings.catch_warnings():  # of a last batch that is smaller, as --batch-size says that it may be
             warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
-            extractor = {"features_extractor_class": StandardisedInputs} if self.lessons else {}
+            extractor = {"features_extractor_class": StandardisedInputs} if self.teacher_rounds else {}
             model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
         model.critic_steps = self.critic_steps
         return model

@@ -90,6 +90,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
     ("ppo", {"epochs": 0}, "--epochs"),
     ("ppo", {"teacher_rounds": -1}, "--teacher-rounds"),
+    ("ppo", {"critic_steps": 257}, "--critic-steps must lie within 0 and 256"),
     ("ppo", {"critic_steps": -1}, "--critic-steps"),
     ("sac", {"buffer_size": 10}, "--buffer-size"),
     ("sac", {"exploration": 0.0}, "--exploration"),

@@ -123,8 +123,8 @@ class Run:
             rounds = 2 if self.quick else _VALIDATIONS
             return ["--arms", _arms(self.samples, rounds, config.moves), "--rounds", rounds]
         steps = max(self.samples // config.hold, 1)
-        if isinstance(config, PpoConfig) and config.lessons:  # who has most samples, as in shipped runs
-            arms, steps = _arms(self.samples * 3 // 4, config.lessons, config.moves), steps // 4
+        if isinstance(config, PpoConfig) and config.teacher_rounds:  # who has most samples, as in shipped runs
+            arms, steps = _arms(self.samples * 3 // 4, config.teacher_rounds, config.moves), steps // 4
             words = ["--teacher-arms", arms, "--critic-steps", steps // 3]
             return ["--total-steps", steps, "--validation-every", max(steps // 2, 1), *words]
         return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
