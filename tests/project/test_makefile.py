@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,14 @@ def test_documents_name_targets_and_tests_that_there_are():
         assert all((ROOT / name).exists() for name in re.findall(r"tests/[a-z_/]+\.py", text)), page.name
         if "results" not in page.parts:  # which name the commands of their commits
             assert set(re.findall(r"(?:`|^)make ([a-z-]+)\b", text, re.MULTILINE)) <= targets, page.name
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such index")
+@pytest.mark.parametrize(("index", "asked"), [("data:,index", True), ("file:///nowhere", False), ("", False)])
+def test_torch_comes_from_its_own_index_where_that_can_be_reached(index: str, asked: bool, folder: Path):
+    python = folder / ".venv" / "bin" / "python"
+    python.unlink()
+    python.symlink_to(sys.executable)
+    result = make(folder, "setup", "--dry-run", "--what-if=pyproject.toml", f"TORCH_INDEX={index}")
+    assert result.returncode == 0 and (f"--extra-index-url {index} " in result.stdout) == asked
+    assert ".[dev]" in result.stdout and result.stdout.count("--extra-index-url") == asked
