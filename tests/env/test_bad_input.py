@@ -197,14 +197,17 @@ def test_a_refused_reset_leaves_the_episode_and_random_numbers_as_they_were(make
     assert env.np_random_seed == other.np_random_seed and env.reset()[0].tobytes() == other.reset()[0].tobytes()
 
 
+def test_some_arms_cannot_be_reset_before_all_were():
+    mask = {"reset_mask": np.array([True, False, False])}
+    refused(ResetNeeded, ("reset()",), lambda: three().reset(options=mask))
+
+
 @pytest.mark.parametrize("action", [0.0, 1.0], ids=["truncated", "terminated"])
 def test_steps_after_the_end(action: float):
     env = BeltArmEnv()
     env.reset(seed=0)
     while not any(env.step(np.array([action]))[2:4]):
         pass
-    mask = {"reset_mask": np.array([True, False, False])}
-    refused(ResetNeeded, ("reset()",), lambda: three().reset(options=mask))
     refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))
     env.reset()
     env.step(np.zeros(1, np.float32))

@@ -106,6 +106,9 @@ LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.fl
 def test_of_signals_whose_values_are_known(signals: dict[str, Any], expected: dict[str, float]):
     metrics = evaluate(**signals)
     assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=0.01, abs=1e-9)
+
+
+def test_the_band_is_a_millimetre_and_metrics_of_torques_are_shown():
     assert SETTLING_BAND == 0.001 and set(TORQUES) <= set(SHOWN)
 
 
