@@ -75,11 +75,11 @@ class OnPolicyConfig(ReinforcementConfig):
         }
 
 
+_SHARED = ("moves", "arms", "validation_every", "validation_arms", "rollout_steps", "batch_size", "epochs", "entropy")
 ALONE: dict[str, Any] = {
-    **{"moves": 1, "total_steps": 6_000_000, "validation_every": 500_000, "validation_arms": 128},
-    **{"arms": 512, "rollout_steps": 64, "batch_size": 2048, "epochs": 3, "learning_rate": 3.5e-4},
-    **{"entropy": 0.008, "initial_log_std": -0.66, "torque_price": 25.0, "reward_scale": 0.036},
-    **{"residual_limit": 1.0, "hidden": [256, 256], "critic_steps": 0},
+    **{name: getattr(OnPolicyConfig, name) for name in (*_SHARED, "torque_price", "residual_limit")},
+    **{"total_steps": 6_000_000, "learning_rate": 3.5e-4, "initial_log_std": -0.66, "reward_scale": 0.036},
+    **{"hidden": [256, 256], "critic_steps": 0},
 }
 """Options of PPO without a teacher, where none are given: searched on `paper`, see docs/science/training.md."""
 

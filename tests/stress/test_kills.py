@@ -56,8 +56,8 @@ def _train(folder: Path, resume: bool) -> None:
         if resume and (folder / kind / POLICY_FILE).exists():
             read_bundle(folder / kind)
     few: dict[str, Any] = {"total_steps": 64, "validation_every": 32, "arms": 4, "validation_arms": 2, "hidden": (4,)}
-    few |= {"rollout_steps": 8, "batch_size": 32, "hold": 40, "out": folder, "base": "paper", "critic_steps": 0}
-    train(PpoConfig(resume=resume and (folder / "config.json").exists(), **few))
+    few |= {"rollout_steps": 8, "batch_size": 32, "hold": 40, "base": "paper", "moves": 1, "critic_steps": 0}
+    train(PpoConfig(out=folder, resume=resume and (folder / "config.json").exists(), **few))
 
 
 def _training(folder: Path) -> dict[str, Any]:
