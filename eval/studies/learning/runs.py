@@ -64,10 +64,14 @@ FACTORS = {
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
 _SHIFTS, _ALL = ("--moves", str(StudentConfig.moves)), ("--residual-limit", "1.0")
+_QUIET = (*_SHIFTS, "--initial-log-std", "-3", "--entropy", "0", "--residual-limit", str(StudentConfig.residual_limit))
+_RECURRENT = ("--base", "adaptive", "--knowledge", "belief", "--hold", str(StudentConfig.hold), "--arms", "128")
 VARIANTS = (
     DEFAULT,
     Variant("ppo-taught", "learner", "PPO after a teacher", ("--teacher-rounds", "6"), "ppo"),
     Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--teacher-rounds", "0", *_SHIFTS), "ppo", once=True),
+    Variant("ppo-quiet", "learner", "PPO, on adaptive, little noise", ("--teacher-rounds", "0", *_QUIET), "ppo"),
+    Variant("recurrent", "learner", "recurrent PPO, likewise", (*_RECURRENT, *_QUIET), "recurrent_ppo"),
     Variant("ppo", "learner", "PPO, on paper", ("--base", "paper", *_SHIFTS), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", _SHIFTS, "sac", once=True),
     Variant("single", "arms", "single moves", ("--moves", "1")),
