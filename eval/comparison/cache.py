@@ -283,7 +283,7 @@ class Perturbed:
     ) -> tuple[Any, tuple[Any]]:
         """Torques over their limit, shape (n, 1); the first in double precision, which holds the difference."""
         own = None if state is None else state[0]
-        action, following = self._controller.predict(observation, own, episode_start, deterministic)
+        action, following = self._controller.predict(observation, own, episode_start, deterministic=deterministic)
         if state is None:
             first = np.clip(action.astype(np.float64), -1, 1)
             action = np.where(first > 0, first - self._difference, first + self._difference)  # within the limits

@@ -86,7 +86,7 @@ def replayed(controller: Controller, observations: Singles, starts: Flags) -> Si
     """Actions on given observations; `starts` says in which samples which arms begin an episode."""
     memory, actions = None, list[Singles]()
     for observation, start in zip(observations, starts, strict=True):
-        action, memory = controller.predict(observation.copy(), memory, start)
+        action, memory = controller.predict(observation.copy(), memory, start, deterministic=True)
         actions.append(np.array(action))
     return np.array(actions)
 
@@ -131,9 +131,10 @@ def _in_the_state(make: Callable[[], Controller], known: Session) -> str:
     controller, actions = make(), list[Singles]()
     memories: list[Any] = [None, None]
     for observation, start in zip(known.observations, known.starts, strict=True):
-        first, memories[0] = controller.predict(observation.copy(), memories[0], start)
+        first, memories[0] = controller.predict(observation.copy(), memories[0], start, deterministic=True)
         actions.append(np.array(first))
-        _, memories[1] = controller.predict(observation[::-1].copy(), memories[1], start[::-1].copy())
+        backwards, started = observation[::-1].copy(), start[::-1].copy()
+        _, memories[1] = controller.predict(backwards, memories[1], started, deterministic=True)
     return _same(np.array(actions), known.actions)
 
 
@@ -246,7 +247,7 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
         ValueError: If `predict` cannot be called as `Controller` is, or does not return two things.
     """
     try:
-        inspect.signature(controller.predict).bind(None, None, None)
+        inspect.signature(controller.predict).bind(None, None, None, deterministic=True)
     except TypeError as error:
         raise ValueError(f"predict must take (observation, state, episode_start, deterministic): {error}") from None
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
@@ -255,7 +256,7 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
     start = np.ones(num_arms, np.bool_)
     for _ in range(steps):
         given, began = observation.copy(), time.perf_counter()
-        answer = controller.predict(given, memory, start)
+        answer = controller.predict(given, memory, start, deterministic=True)
         seconds = time.perf_counter() - began
         if not isinstance(answer, tuple) or len(answer) != 2:
             got = type(answer).__name__

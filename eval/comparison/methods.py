@@ -155,9 +155,11 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
         ValueError: If there is no such file or package, or no such class.
     """
     spec = custom.absolute(spec)
-    own = custom.identity(custom.home(spec), results)
-    identity = own and _hash([own, _all_gains()])
-    return Method(spec.rpartition(":")[2], "added", (spec,), identity, time_limit=time_limit)
+    home, (where, _, name) = custom.home(spec), spec.rpartition(":")
+    inside = Path(where).resolve().relative_to(home).as_posix() if where.endswith(".py") else where
+    own = custom.identity(home, results)
+    identity = own and _hash([own, inside, _all_gains()])
+    return Method(name, "added", (spec,), identity, time_limit=time_limit)
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
@@ -167,7 +169,8 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
 
     Raises:
         BundleError: If a policy is missing or damaged.
-        ValueError: If a policy needs other sensors than the encoder, or is an archive of Stable-Baselines3.
+        ValueError: If a policy is twice in a method, needs other sensors than the encoder, or is an archive of
+            Stable-Baselines3.
     """
     grouped: dict[str, list[_Read]] = {}
     for policy in policies:
@@ -184,7 +187,13 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
         usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
             usual = folder.resolve().parent.name
-        grouped.setdefault("".join(given) or usual, []).append((folder.resolve(), spec, content))
+        name = "".join(given) or usual
+        members = grouped.setdefault(name, [])
+        if any(folder.resolve() == known for known, *_ in members):
+            raise ValueError(
+                f"{folder} is two seeds of {name}: give each policy once, and not those that take part anyway"
+            )
+        members.append((folder.resolve(), spec, content))
     return [_learned(name, members) for name, members in grouped.items()]
 
 

@@ -187,7 +187,7 @@ def make_comparison(
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
     best = _pairs(by_split, "best classical", lambda _, of_split: best_classical(of_split))
     base = _pairs(by_split, "base", lambda o, of_split: {b.name: b for b in of_split}.get(o.method.base or ""))
-    marks = {split: {name: _marks(o, name, best) for name in PAIRED_METRICS} for split, o in by_split.items()}
+    marks = {split: {name: _marks(o, name) for name in PAIRED_METRICS} for split, o in by_split.items()}
     return Comparison(outcomes, [*best, *base], marks, failures, scenario_set, provenance)
 
 
@@ -227,7 +227,7 @@ def _corrected(family: Sequence[statistics.Paired]) -> list[statistics.Paired]:
     return [replace(pair, p_holm=p) for pair, p in zip(family, adjusted, strict=True)]
 
 
-def _marks(outcomes: list[MethodOutcome], name: str, against_best: list[Pair]) -> dict[str, Mark]:
+def _marks(outcomes: list[MethodOutcome], name: str) -> dict[str, Mark]:
     """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction.
 
     None where there are too few scenarios to say anything.
@@ -237,16 +237,9 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: list[Pair]) -
     best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
     if best is None or best.metrics[name].shape[1] < statistics.LEAST_SCENARIOS:
         return {}
-    pairs = {pair.outcome.name: pair.metrics[name] for pair in against_best if pair.outcome.split == best.split}
-    classical = best_classical(outcomes)
-    if best is not classical:
-        same = pairs.get(best.name)
-        others = [outcome for outcome in ranked if outcome is not best]
-        compared = statistics.all_paired([tables_of(other, best, name) for other in others])
-        pairs = {other.name: pair for other, pair in zip(others, compared, strict=True)}
-        if classical and same:  # a pair has one p value
-            pairs[classical.name] = replace(pairs[classical.name], p=same.p)
-        pairs = dict(zip(pairs, _corrected(list(pairs.values())), strict=True))
+    others = [outcome for outcome in ranked if outcome is not best]
+    compared = _corrected(statistics.all_paired([tables_of(other, best, name) for other in others]))
+    pairs = {other.name: pair for other, pair in zip(others, compared, strict=True)}
     marks: dict[str, Mark] = {
         outcome.name: "tie" for outcome in shown if outcome is not best and not pairs[outcome.name].survives
     }

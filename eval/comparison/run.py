@@ -26,7 +26,6 @@ from eval.comparison.methods import (
     added_method,
     chosen,
     classical_methods,
-    is_shipped,
     learned_methods,
     privileged_method,
     shipped_policies,
@@ -63,7 +62,8 @@ def choose_methods(
         if all_names.count(name) > 1:
             raise ValueError(f"two methods are called {name!r}: give yours another name (a policy: NAME=FOLDER)")
     wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
-    methods = [method for method in known if method.name in wanted or not is_shipped(method)]
+    own = {method.name for method in learned_methods(policies)}
+    methods = [method for method in known if method.name in {*wanted, *own} or method.kind == "added"]
     if names and [method.name for method in methods] == [PRIVILEGED]:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
     with_guard = ("classical", "learned") if guard else ()
@@ -266,7 +266,8 @@ def _claims(content: dict[str, Any]) -> dict[tuple[str, str, str], _Claim]:
         own, failures = (row["method"], row["split"]), row["failures"]
         numbers = {name: value["iqm"] for name, value in row["metrics"].items()}
         numbers |= {name: row[name] for name in ("cost_mean", "cost_worst") if name in row}
-        numbers |= {name: failures[name] / failures["runs"] for name in ("not_settled", "left_workspace")}
+        runs = {"not_settled": failures["runs"], "left_workspace": row["seeds"] * row["episodes"]}
+        numbers |= {name: failures[name] / count for name, count in runs.items()}
         claims |= {(*own, name): (value, _allowed(name, value)) for name, value in numbers.items()}
         claims |= {(*own, name): (row[name], 0.0) for name in ("episodes", "moves", "seeds")}
     pairs = [(row["method"], row["other"], row, each) for row in content["paired"] for each in row["metrics"].items()]

@@ -164,7 +164,11 @@ NOT_COMPARED = Paired(NOTHING, NOTHING, 1.0, scenarios=0)
 
 
 def paired(values: Floats, other: Floats) -> Paired:
-    """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""
+    """Compare two methods scenario by scenario.
+
+    A method with one controller is compared with every seed of the other. Where both have several, seeds are paired in
+    their order, as samples of both methods; those that the other has not are left out.
+    """
     return all_paired([(values, other)])[0]
 
 
@@ -174,7 +178,7 @@ def all_paired(tables: Sequence[tuple[Floats, Floats]]) -> list[Paired]:
 
 
 def mean_differences(tables: Sequence[tuple[Floats, Floats]]) -> list[Estimate]:
-    """Estimate the mean difference of several pairs of methods; the others' seeds are averaged per scenario."""
+    """Estimate the mean difference of several pairs of methods, whose seeds are paired as `paired` does."""
     return together(_differences(tables), partial(estimates, mean=True))
 
 
@@ -188,7 +192,11 @@ def together(tables: Sequence[Floats], compute: Callable[[Floats], list[Result]]
 
 
 def _differences(tables: Sequence[tuple[Floats, Floats]]) -> list[Floats]:
-    return [values - other.mean(axis=0, keepdims=True) for values, other in tables]
+    shared = [min(len(values), len(other)) for values, other in tables]
+    return [
+        values - other if seeds == 1 else values[:seeds] - other[:seeds]
+        for seeds, (values, other) in zip(shared, tables, strict=True)
+    ]
 
 
 def _paired(differences: Floats) -> list[Paired]:

@@ -189,7 +189,7 @@ def tip_error(figure: FigureBase, runs: list[Run]) -> list[float]:
 
 
 def tip_after(figure: FigureBase, runs: list[Run]) -> list[float]:
-    """Draw both components of the error of the arm's end after the move; returns the largest radial one [mm]."""
+    """Draw both components of the error of the arm's end after the move; it has no numbers to return."""
     axes: list[Axes] = list(figure.subplots(2, 1, sharex=True))
     for component, (axis, name) in enumerate(zip(axes, ("radial", "lateral"), strict=True)):
         for motion, style in runs:
@@ -200,7 +200,7 @@ def tip_after(figure: FigureBase, runs: list[Run]) -> list[float]:
         axis.set_ylabel(f"{name} error\n(mm)")
         axis.grid()
     axes[1].set_xlabel("time since the end of the move (s)")
-    return [float(1000 * np.abs(motion.tip_error[:, 0, 0]).max()) for motion, _ in runs]
+    return []
 
 
 def torque(figure: FigureBase, runs: list[Run], end: float | None = None) -> list[float]:

@@ -172,7 +172,8 @@ class Results:
 
     def seed_note(self, methods: Iterable[str]) -> str:
         """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
-        several = [row for row in self.methods if row["method"] in set(methods) and row["seeds"] > 1]
+        shown = set(methods)
+        several = [row for row in self.methods if row["method"] in shown and row["seeds"] > 1]
         if not several:
             return ""
         named = "; ".join(f"{row['method']} by seed {row['median_seed']} of 0 to {row['seeds'] - 1}" for row in several)

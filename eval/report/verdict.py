@@ -17,7 +17,7 @@ import jinja2
 from baselines import CONTROLLERS
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
-from eval.comparison.methods import is_shipped, shipped_policies
+from eval.comparison.methods import PRIVILEGED, is_shipped, shipped_policies
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.splits import EPISODES, MOVES
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
@@ -100,8 +100,9 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     pair, home = comparison.primary_pair(), comparison.main_split
     if pair is None:
         best = [comparison.best_classical(split) for split in comparison.splits()]
-        failed = any(f.method.removesuffix("+guard") not in {*CONTROLLERS, "privileged"} for f in comparison.failures)
-        return _sentences(pair=pair, leaders=[one for one in best if one], failed=failed, away=[]), []
+        failures = {failure.method.removesuffix("+guard") for failure in comparison.failures}
+        words = {"failed": failures - {*CONTROLLERS, PRIVILEGED}, "lost": failures & {*CONTROLLERS}}
+        return _sentences(pair=pair, leaders=[one for one in best if one], away=[], **words), []
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]

@@ -208,6 +208,7 @@ def test_policies_are_grouped_by_method(tmp_path: Path):
     ):
         methods = choose_methods(chosen, folders[:1], added, guard=guard)
         assert [method.name for method in methods] == names
+    assert [method.name for method in choose_methods(["lqg"], [POLICIES / "ppo" / "seed4"], seeds=1)] == ["lqg", "ppo"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -256,6 +257,8 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path, monkeypat
         (("--add", "paper.py:paper"), "'paper'"),
         (("--add", "paper.py:Wrong"), "'Wrong'"),
         (("--policy", "student=mine"), "'student'"),
+        (("--policy", str(POLICIES / "ppo" / "seed0")), "two seeds of ppo"),
+        (("--verify", ".", "--methods", "paper"), "--methods"),
         (("--time-limit", "0"), "--time-limit"),
         (("--scenario-seed", "-1"), "--scenario-seed"),
         (("--scenario-seed", "1", "--scenarios", "development"), "--scenarios development"),

@@ -13,6 +13,7 @@ from baselines import CONTROLLERS
 from eval.check_controller import main
 from eval.comparison import check, custom
 from eval.comparison.check import Finding, findings, record
+from eval.comparison.methods import added_method
 
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
 
@@ -61,6 +62,11 @@ class WithoutArguments(Proportional):
         return super().predict(observation)
 
 
+class AlwaysRandom(Proportional):
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None) -> Any:  # pyright: ignore
+        return super().predict(observation, state, episode_start)
+
+
 class Runaway(Proportional):
     """Sound, with memory, and drives its arms out of the workspace."""
 
@@ -81,6 +87,7 @@ RANDOM = np.random.default_rng()
 CASES: dict[str, tuple[type, str, str]] = {
     "state": (WithoutState, "drives", r"must return \(torques, state\).*got ndarray"),
     "arguments": (WithoutArguments, "drives", r"must take \(observation, state, episode_start"),
+    "deterministic": (AlwaysRandom, "drives", "deterministic"),
     "shape": (spoilt(lambda _, a, o: a[:, 0]), "drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
     "type": (spoilt(lambda _, a, o: a.astype(np.float64)), "drives", "got float64 of shape"),
     "nan": (spoilt(lambda c, a, o: a * np.float32(np.nan if c.calls == 50 else 1)), "drives", "in sample 49 .*nan"),
@@ -179,6 +186,9 @@ def test_identity_changes_with_every_file_of_the_users_own(tmp_path: Path, monke
     for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/parts/a.npz"):
         (own / name).parent.mkdir(parents=True, exist_ok=True)
         assert not changed(lambda name=name: (own / name).write_text("new"))
+    for name in ("mine.py", "other.py"):
+        (own / name).write_text("class Mine: pass")
+    assert len({added_method(f"{own / name}:Mine").identity for name in ("mine.py", "other.py")}) == 2
     assert None not in identities and custom.identity(own) not in identities and custom.identity(own / "no") is None
     for limit, low in (("MOST_FILES", 3), ("MOST_BYTES", 20)):
         with monkeypatch.context() as patched:

@@ -41,9 +41,11 @@ def test_samples_are_those_of_a_bootstrap_by_definition(seeds: int):
 
 def test_paired_by_hand():
     result = paired(np.array([[1.0, 2, 3, 4], [2, 2, 2, 2]]), np.array([[2.0, 2, 2, 8], [2, 2, 2, 4]]))
-    # The other's mean is 2, 2, 2, 6, so the differences are -1, 0, 1, -2 and 0, 0, 0, -4.
+    # Seeds are paired in their order, so the differences are -1, 0, 1, -4 and 0, 0, 0, -2.
     assert result.difference.iqm == pytest.approx((-1 + 0 + 0 + 0) / 4)
     assert result.win_rate.iqm == pytest.approx((3 + 4 * 0.5) / 8)
+    one, five = np.arange(40.0)[None] / 20, np.arange(40.0) / 20 + np.arange(5.0)[:, None] / 20
+    assert paired(one, five).p == paired(five, one).p > 0.01  # the seeds differ by as much as the methods do
 
 
 def test_what_is_alike_is_not_told_apart():
