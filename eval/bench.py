@@ -5,6 +5,7 @@ page.md and a picture into results/bench.
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def run(options: bench.Options) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command(__file__, bench.Options, run, __doc__)
+    run_command(__file__, bench.Options, run, __doc__, partial(_frame.quick_ones, bench))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ Writes data.json, with everything that was measured, page.md and pictures into r
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -16,7 +17,7 @@ from baselines.tools.command import one_line_errors, stop_without
 
 try:
     from baselines.tools.options import parse
-    from eval.studies._frame import load, names, run
+    from eval.studies._frame import load, names, quick_ones, run
 except ModuleNotFoundError as error:
     stop_without("eval/study.py", error)
 
@@ -32,7 +33,7 @@ def main() -> None:
                     print(f"  {name:11} {(load(name).__doc__ or '').splitlines()[0]}")
                 return
             study = load(words[0])
-            options = parse(study.Options, study.__doc__, words[1:])
+            options = parse(study.Options, study.__doc__, words[1:], partial(quick_ones, study))
             print(f"written to {run(study, options)}")
     except ModuleNotFoundError as error:
         stop_without("eval/study.py", error)

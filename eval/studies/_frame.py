@@ -18,7 +18,7 @@ import math
 import pkgutil
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -87,6 +87,11 @@ def load(name: str) -> Any:
     return importlib.import_module(f"eval.studies.{name}")
 
 
+def quick_ones(study: Any, given: StudyOptions) -> dict[str, Any]:
+    """Options that stand for those not given, as JSON has them: with `--quick` those of a first try."""
+    return json.loads(json.dumps(study.QUICK, default=str)) if given.quick else {}
+
+
 def run(study: Any, options: StudyOptions) -> Path:
     """Measure a study and write data, page and pictures; return their folder.
 
@@ -94,8 +99,6 @@ def run(study: Any, options: StudyOptions) -> Path:
         ValueError: If an option is not allowed.
         OSError: If the folder cannot be written to.
     """
-    if options.quick:
-        options = replace(options, **study.QUICK)
     require_bounds(options, **options.bounds)
     name = study.__name__.rpartition(".")[2]
     folder = options.out or Path("results") / name

@@ -4,7 +4,6 @@ import importlib
 import platform
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.tools.command import require_known
-from baselines.tools.files import write_text
+from baselines.tools.files import write_bytes, write_text
 from baselines.tools.provenance import commit
 from eval.comparison.provenance import ROOT, inputs_digest
 from eval.comparison.results import MEASURES, STARTS
@@ -128,10 +127,10 @@ def updated_readme(readme: str, data: dict[str, Any]) -> str:
 
 
 def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
-    """Measure pages that are not fresh, or not of the newest commit that measured one; the cheapest first.
+    """Measure all pages, or those of some names, the cheapest first.
 
     Each is measured into `MEASURED`, and what is fresh there is not repeated. Once all are measured they replace the
-    committed ones, so that all committed pages name one commit. Yields the name of a page, and what is done with it.
+    committed ones, so that these pages name one commit. Yields the name of a page, and what is done with it.
 
     Raises:
         ValueError: If files differ from the commit, or a measurement fails.
@@ -153,8 +152,13 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     if commit() != here:
         raise ValueError(f"the checkout was at {here} when this began, and is not now: measure again")
     for page in chosen:
+        replaced = set[str]()
         written = (MEASURED / page.name / page.data).stat().st_mtime  # before all others of this measurement
         for path in sorted((MEASURED / page.name).iterdir()):
             if path.is_file() and path.name not in page.left_out and path.stat().st_mtime >= written:
-                shutil.copyfile(path, page.committed / path.name)
+                write_bytes(page.committed / path.name, path.read_bytes())
+                replaced.add(path.name)
+        for path in page.committed.iterdir():
+            if path.suffix != ".j2" and path.name not in replaced:
+                path.unlink()  # a picture that is drawn no more
         yield page.name, "replaced"

@@ -34,8 +34,8 @@ def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, mo
 def test_mistakes_are_one_line(name: str, tmp_path: Path):
     for option, (least, _) in _frame.load(name).Options.bounds.items():
         words = (name, f"--{option.replace('_', '-')}", str(least - 1))
-        line = mistake(study.main, words, tmp_path)
-        assert words[1] in line and words[2] in line
+        for line in (mistake(study.main, (*words, *more), tmp_path) for more in ((), ("--quick",))):
+            assert words[1] in line and words[2] in line
     assert repr(f"{name}s") in mistake(study.main, (f"{name}s",), tmp_path)
 
 
