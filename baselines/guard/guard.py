@@ -4,10 +4,10 @@
     level 1    base       the residual is no number, out of its range, or at its limit for too long
     level 2    servo      the observer's innovations say that the arm is none it knows, or it begins anew; a sample is
                           lost, or no motor can have made it; or the base's torque is no number
-    level 3    passive    the encoder is not believed any more, or neither base nor servo gives a number for two
-                          samples: no torque; friction stops the motor
+    level 3    passive    the encoder is not believed any more, or neither base nor servo gives a number where the
+                          servo is asked for: no torque; friction stops the motor
 
-    tau = (1 - p) clip((1 - s) (base + r residual) + s servo, -limit, limit)
+    tau = (1 - p) ((1 - s) clip(base + r residual) + s clip(servo)),    clip to the torque limit
 
 The weights r, s and p are between 0 and 1 and move linearly, so that nothing jumps where the guard decides; the command
 changes by no more than the slew limit in a sample. It goes down at once, and back after a while of good behaviour,

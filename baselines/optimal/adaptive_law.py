@@ -111,7 +111,7 @@ class ArmMemory(NamedTuple):
     to_go: CostToGo  # of the plan that is being made anew
     row: Floats  # constants that it is made for, shape (len(FIELDS),)
     left: Integers  # samples of it that are left to plan, shape (1,)
-    inputs: Inputs  # from here on, nothing has to be kept from sample to sample
+    inputs: Inputs  # from here on, nothing is kept from sample to sample, but `planning.model` while a plan is made
     found: Estimate
     identification: Room
     planning: PlanRoom

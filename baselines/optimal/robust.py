@@ -246,9 +246,11 @@ class Design(NamedTuple):
     stopped: float  # see `loops_at`
 
     def content(self) -> dict[str, Any]:
-        """Return the same as JSON holds it, with the angles at which gains are found."""
+        """Return the same as JSON holds it, with the corners and the angles at which gains are found."""
         parts = {"params": asdict(self.params), "weights": self.weights._asdict(), "noise": self.noise._asdict()}
-        return {**parts, "stopped": self.stopped, "angles": ANGLES[_PLACES].tolist()}
+        corners = [[getattr(corner, name) for name in LOOP_FIELDS] for corner in CORNERS.values()]
+        parts |= {"stopped": self.stopped, "forgotten": _FORGOTTEN, "corners": corners}
+        return {**parts, "angles": ANGLES[_PLACES].tolist()}
 
     def gains(self) -> Floats:
         """Find the gains at these angles, shape (places, 5)."""

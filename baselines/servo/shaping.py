@@ -16,7 +16,7 @@ exact for zeta = 0; with damping the vibration at the modelled mode is at most V
 mode at the start, and the ramp down for the mode at the goal. The motor is held by its servo, so the mode is that of a
 fixed motor, see `baselines.models.linear`.
 
-**What delays.** A shaper delays by d = sum of A_i t_i, 0.03 to 0.15 s, which counts in full against the task. But the
+**What delays.** A shaper delays by d = sum of A_i t_i, 0.02 to 0.17 s, which counts in full against the task. But the
 whole move is known ahead. So
 
 - ramps of time t_r are shortened to t = t_r - 2 d, but not below `shortest_ramp` (nor lengthened): a shaped ramp then
@@ -46,7 +46,7 @@ class ShapingGains(PidGains):
     """Gains of the servo, and of a ZV or ZVD shaper."""
 
     shortest_ramp: float = tunable(0.03, 0.002, 0.5, log=True)  # [s]  before shaping
-    frequency: float = tunable(1.0, 0.5, 1.5)  # [-]  of the mode shaped for, over that of the nominal arm
+    frequency: float = tunable(1.0, 0.5, 1.5)  # [-]  of the mode shaped for, over that of the design model
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,11 @@ def plan_shaped(design: ShapingDesign, move: MoveShape, ramps: Ramps) -> None:
     down_centre = _shape(design, move.goal, move.ramp_time, count, ramps)
     begin = max(0.5 * move.ramp_time - up_centre, 0.0)
     brake = move.duration - 0.5 * move.ramp_time - down_centre
-    cruise = (move.goal - move.start) / (brake + down_centre - begin - up_centre)
+    between, least = brake + down_centre - begin - up_centre, 0.5 * (move.duration - move.ramp_time)
+    if between < least:  # a move too short for its shaper ends late
+        between = least
+        brake = begin + up_centre + between - down_centre
+    cruise = (move.goal - move.start) / between
     for k in range(count):
         ramps.onset[k] += begin
         ramps.speed[k] *= cruise

@@ -132,7 +132,7 @@ def require_writable(folder: Path) -> None:
     """
     try:
         write_text(folder / ".writable", "")
-        (folder / ".writable").unlink()
+        (folder / ".writable").unlink(missing_ok=True)  # another command may look, too
     except OSError as error:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
 

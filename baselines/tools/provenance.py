@@ -8,7 +8,7 @@ import platform
 import shlex
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from baselines.tools.files import sha256_of
@@ -78,8 +78,16 @@ def code_and_packages() -> str:
     """Hash of all that numbers depend on besides options and files: code, tuned gains, Python and its packages."""
     code = sources_digest(*(_ROOT / folder for folder in ("beltarm_env", "baselines", "agents", "train", "eval")))
     gains = [sha256_of(_ROOT / "baselines" / name) for name in ("gains.json", "optimal/robust.json")]
-    packages = [f"{name} {version(name)}" for name in _PACKAGES]
+    packages = [f"{name} {_version(name)}" for name in _PACKAGES]
     return hashlib.sha256("\n".join([code, *gains, platform.python_version(), *packages]).encode()).hexdigest()
+
+
+def _version(package: str) -> str:
+    """Version of a package; "none" where it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
 
 
 def software(*packages: str) -> dict[str, object]:

@@ -78,6 +78,14 @@ class TuningConfig(WithStorage):
         require_bounds(self, seed=(0, None), moves=(1, MOST_MOVES))
         split_budget(self.budget, self.moves)
         self.check_engine()
+        return self.named()
+
+    def named(self) -> list[str]:
+        """Names of the controllers to tune, whatever the other options are.
+
+        Raises:
+            ValueError: If a name is unknown, or there is none.
+        """
         if self.all == bool(self.names):
             raise ValueError(f"name controllers to tune or give --all, not both; there are {', '.join(TUNABLE)}")
         require_known(self.names, TUNABLE, "no controller {} to tune")
@@ -92,7 +100,7 @@ class TuningConfig(WithStorage):
         if not self.resume:
             return {}
         of_this_run = ("names", "all", "journals", "resume")
-        noted = {name: noted_options(self.file(name, "json"), *of_this_run) for name in self.chosen()}
+        noted = {name: noted_options(self.file(name, "json"), *of_this_run) for name in self.named()}
         first, *others = [name for name, options in noted.items() if options] or [""]
         for name in others:
             if noted[name] != noted[first]:

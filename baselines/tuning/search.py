@@ -67,6 +67,7 @@ WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
 _WITHOUT_LOOP = 2.0  # shortfall of gains that make no controller or no loop: beyond that of any loop
 _COSTS, _FAILURE = "costs", "failure"  # attributes of a complete trial, and of one in which the controller failed
+_CHOSEN = "chosen"  # attribute of a study: steps of the choices so far
 
 
 class Terms(NamedTuple):
@@ -97,7 +98,7 @@ class SearchResult:
     pruned: int
     failed: int  # trials in which the controller raised an error or returned NaN
     refused: int  # proposals that fell short of the margins; not among the trials
-    cost: float  # mean episode cost over the arms of the choice
+    cost: float  # mean cost of a move over the arms of the choice
     cost_untuned: float  # of the untuned gains on the same arms
     seconds: float  # of trials and choice
 
@@ -194,7 +195,7 @@ def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None
         if study.user_attrs.get("budget") == terms.budget:
             return SearchResult(**study.user_attrs["found"])
         run = _Search(kind, terms, study, channel or Channel())
-        if run.steps > steps:
+        if run.steps - study.user_attrs.get(_CHOSEN, 0) > steps:
             raise ValueError(f"{journal} holds more steps than --budget {terms.budget} allows: raise it, or tune anew")
         while run.steps + RUNGS[-1] * terms.moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
             run.trial()
@@ -221,6 +222,7 @@ class _Search:
         self._first, self._space = beginnings(kind.gains_type), space(kind.gains_type)
         self._untuned = self._first[0]
         self.steps = terms.moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
+        self.steps += study.user_attrs.get(_CHOSEN, 0)
         self.refused = len(self._trials(TrialState.PRUNED))
         condition = terms.condition
         if condition is not None and condition.shortfall(untuned := kind()) > 0:
@@ -266,7 +268,7 @@ class _Search:
 
     def choose(self, arms: int) -> SearchResult:
         """Run the finalists and the untuned gains on other arms, and choose the best."""
-        began = time.perf_counter()
+        began, before = time.perf_counter(), self.steps
         complete = self._complete()
         candidates = sorted(complete, key=lambda trial: trial.params != self._untuned)[: FINALISTS + 1]
         costs = list[Floats]()
@@ -275,6 +277,7 @@ class _Search:
                 costs.append(self._costs(trial.params, GAIN_CHOICE.first, arms))
             except _FailureError:
                 costs.append(np.full(arms, WORST))
+        self._study.set_user_attr(_CHOSEN, self._study.user_attrs.get(_CHOSEN, 0) + self.steps - before)
         every = [np.append(trial.user_attrs[_COSTS], own) for trial, own in zip(candidates, costs, strict=True)]
         best = int(np.argmin([both.mean() for both in every]))
         trials = self._trials(TrialState.COMPLETE)

@@ -1,9 +1,9 @@
 """Privileged preview LQG: a yardstick with true constants and true state, never ranked among the controllers.
 
 The law of `baselines.optimal.adaptive` without an identification: the plan for the task's own cost is that of the true
-arm, friction over the turn and torque ripple are the true ones. The state is simulated on the true arm from what was
-commanded; the environment's full observation corrects it (motor angle and speed by the encoder where its rounding does
-not explain the difference, torsion exactly).
+arm; friction over the turn and as it has drifted, torque ripple and the torque constant are the true ones. The state is
+simulated on the true arm from what was commanded; the environment's full observation corrects it (motor angle and speed
+by the encoder where its rounding does not explain the difference, torsion exactly).
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ from baselines.optimal.adaptive_law import Compensation, compensated
 from baselines.planning.plan import rows_at, step_of_plan, torque_between
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.reading import Reading
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arm import COLUMN, params_table
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.engine import compiled
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.simulation import ArmSimulation, X
+
+_FRICTION = [COLUMN.motor_viscous_friction, COLUMN.coulomb_friction]  # columns that drift
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,9 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         arms = self._simulation.at_rest(reading.motor_angle)
         if memory is not None:
             arms = np.where(rests[:, None], arms, self._simulation.advance(memory.arms, command))
-        table = self._tables[number, np.arange(len(number))]  # of the arms as they are in these moves
+        table = self._tables[number, np.arange(len(number))]  # of the arms as they are in these moves, a copy
+        drifted = 1 + table[:, COLUMN.friction_drift] * (reading.step + 0.5) / EPISODE_STEPS
+        table[:, _FRICTION] *= drifted[:, None]
         if not np.array_equal(table, self._table):
             self._table = table
             self._simulation.set_table(table)
@@ -116,7 +120,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         direction, torques = np.where(sticks, 0.0, np.sign(arms[:, 1])), np.empty(len(begins))
         of = Compensation(self.gains.friction_share, self.gains.rest_width)
         _write_torques(of, self._table, ahead, direction, rows_at(cache.plans, time), time, torques)
-        return torques, PrivilegedMemory(cache, arms, number)
+        return torques / (1 + self._table[:, COLUMN.torque_constant_error]), PrivilegedMemory(cache, arms, number)
 
     @staticmethod
     def _correct(arms: Floats, reading: Reading) -> None:

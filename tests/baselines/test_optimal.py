@@ -221,3 +221,6 @@ class TestRobust:
         ):
             np.testing.assert_array_equal(robust.robust_gains(other)[::5], found)
         robust.robust_gains.cache_clear()
+        monkeypatch.setattr(robust, "CORNERS", dict(list(robust.CORNERS.items())[1:]))
+        np.testing.assert_array_equal(robust.robust_gains(design)[::5], found)
+        robust.robust_gains.cache_clear()

@@ -1,7 +1,7 @@
 """Plans: optimal for their linear problem, improved for the task's own cost, made anew; and those of oracles."""
 
 import math
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from functools import partial
 from typing import Any
 
@@ -236,3 +236,16 @@ def test_who_knows_arm_and_equations_costs_less_and_the_privileged_one_knows_its
     assert (known.cost < told.cost).all() and told.cost.mean() < 0.9 * blind.cost.mean()
     for shape, words in (((4, size()), ("sensors='full'",)), ((3, size("full")), ("4 arms", "3"))):
         refused(ValueError, words, partial(oracle.predict, np.zeros(shape, np.float32)))
+    refused(ValueError, ("'full'",), partial(rollout, oracle, 4, sensors="accelerometer"))
+
+
+def test_the_privileged_one_knows_torque_constant_and_drift_of_its_arms():
+    """Its motors give the torque that those of the nominal constant give, and its costs are no higher with drift."""
+    nominal = ArmParams(current_loop_time_constant=1e-4)
+    strong, drifting = replace(nominal, torque_constant_error=0.2), replace(nominal, friction_drift=0.3)
+    runs = {}
+    for name, arm in (("nominal", nominal), ("strong", strong), ("drifting", drifting)):
+        options = {"params": asdict(arm), "move": {"start": 0.3, "goal": 1.1, "duration": 0.8}}
+        runs[name] = rollout(PrivilegedController([arm]), 1, seed=0, options=options, sensors="full")
+    np.testing.assert_allclose(1.2 * runs["strong"].torque, runs["nominal"].torque, atol=1e-7)
+    assert runs["drifting"].cost < 1.01 * runs["nominal"].cost

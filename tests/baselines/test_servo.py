@@ -191,6 +191,14 @@ class TestRamps:
             assert (ramps.onset >= 0).all() and (ramps.time > 0).all()
             assert (ramps.onset + ramps.time <= end + 1e-12).all()
 
+    @pytest.mark.parametrize("kind", SHAPERS)
+    def test_a_move_too_short_for_its_shaper_ends_late_at_its_goal(self, kind: str):
+        for duration, ramp in ((0.22, 0.1), (0.25, 0.0875)):
+            ramps = planned(TUNABLE[kind](), np.array([1.57, 1.31, duration, ramp]))
+            np.testing.assert_allclose(along(ramps, 1.57, 1.8)[:2], [1.31, 0], atol=1e-12)
+            speeds = [along(ramps, 1.57, time)[1] for time in np.linspace(0, 1, 300)]
+            assert -2 * 0.26 / (duration - ramp) <= min(speeds) < 100 * -max(speeds)
+
 
 class TestShaper:
     @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])

@@ -111,6 +111,8 @@ def test_a_search_keeps_its_budget_and_helps(tmp_path: Path):
     assert split_budget(budget, moves)[0] - RUNGS[-1] * moves * EPISODE_STEPS < reported[-1].steps
     assert first.trials == reported[-1].trials and first.failed == 0
     assert first.cost < first.cost_untuned and 0 < first.pruned < first.trials
+    more = search(Counting, Terms(budget + moves * MIN_BUDGET, 3, moves), tmp_path / "journal")
+    assert more.steps == Counting.steps > first.steps and more.trials > first.trials
 
 
 def finished(kind: type[Gains], journal: Path) -> list[tuple[Any, ...]]:
@@ -276,6 +278,7 @@ def test_a_resumed_search_keeps_options_it_is_not_given(tmp_path: Path, tune: An
     assert again["gains"] == first["gains"]
     for kept in ("budget", "moves", "seed", "steps", "margins"):
         assert again["provenance"][kept] == first["provenance"][kept]
+    assert tune(name, "--resume", "--budget", str(MIN_BUDGET + 2 * BATCH))[name]["provenance"]["moves"] == 1
     tune(other, "--no-margins", "--moves", "1", "--budget", str(MIN_BUDGET), "--out", "gains.json")
     assert "seed" in mistake(main, (name, "--seed", "4", "--resume"), tmp_path)
     together = mistake(main, (*NAMES, "--resume"), tmp_path)
