@@ -69,6 +69,8 @@ class TuningConfig(SideBySide):
     """Seed of the search. Trial k trains with seed 50 + k modulo 50; those that were interrupted do not count."""
     base: str = "paper"
     """Controller that the agent corrects."""
+    moves: int = 1
+    """Moves of an episode, in a row."""
     arms: int = 512
     """Arms that a trial simulates at the same time."""
     validation_arms: int = 128
@@ -110,7 +112,7 @@ class TuningConfig(SideBySide):
         """Options of the training run of a trial."""
         kind: Any = ALGORITHMS[self.algorithm]
         shared = {"out": self.out / f"{self.algorithm}-trial{number}", **self.given()}
-        options = {**kind(**shared).usual(), **settings}
+        options = {name: value for name, value in kind(**shared).usual().items() if name not in shared} | settings
         if "hidden" in settings:
             options["hidden"] = [int(width) for width in settings["hidden"].split()]
         steps = self.samples // options.get("hold", kind.hold)
@@ -119,8 +121,8 @@ class TuningConfig(SideBySide):
         return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **shared, **options)
 
     def given(self) -> dict[str, Any]:
-        """Options of all trials that are not the script's own: the base, and no teacher, whose samples would count."""
-        return {"base": self.base, **({"teacher_rounds": 0} if self.algorithm == "ppo" else {})}
+        """Options of all trials that are not the script's own; no teacher is, whose samples would count."""
+        return {"base": self.base, "moves": self.moves, **({"teacher_rounds": 0} if self.algorithm == "ppo" else {})}
 
     def defaults(self) -> dict[str, Any]:
         """Settings that the algorithm has by default, as the study notes them."""
@@ -137,7 +139,7 @@ def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
     Raises:
         ValueError: If the journal is damaged, or was begun with other code or options.
     """
-    begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
+    begun = {name: getattr(config, name) for name in ("samples", "base", "moves", "arms", "validation_arms", "seed")}
     begun["base_hash"] = config.run({}, 0).identity()["base_hash"]
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3)
     packages, remedy = ("beltarm_env", "baselines", "agents"), "give the same options, or choose another --out"

@@ -122,11 +122,11 @@ def few(out: Path, **options: Any) -> TuningConfig:
 def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
     assert set(SPACES) == set(ALGORITHMS) - {"student"}
     for (algorithm, space), base in product(SPACES.items(), ("paper", "adaptive")):
-        config = TuningConfig(algorithm, out=tmp_path, base=base)
+        config = TuningConfig(algorithm, out=tmp_path, base=base, moves=3)
         settings, own = config.defaults(), config.run({}, 3)
         for name, distribution in space.items():
             assert distribution._contains(distribution.to_internal_repr(settings[name])), name
-        assert config.run(settings, 3) == own and own.total_steps * own.hold == config.samples
+        assert config.run(settings, 3) == own and (own.moves, own.total_steps * own.hold) == (3, config.samples)
 
 
 @pytest.mark.slow
