@@ -87,7 +87,7 @@ docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its
 	@echo "Open docs/_build/index.html"
 
 $(READY_DOCS): $(READY)
-	$(PIP) --constraint constraints.txt --editable '.[docs]'
+	$(PIP) --constraint $(CONSTRAINTS) --editable '.[docs]'
 	@touch $@
 
 dist: $(READY)  ## Build the source archive and this machine's wheel in dist; TARGETS="win_amd64 macosx_11_0_arm64" for others

@@ -28,18 +28,20 @@ class Config:
     names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = ()
     """Pages, by the names of their folders in docs/results. Default: all."""
     check: bool = False
-    """Say which pages are fresh, and exit with 1 if one is not."""
+    """Say which pages are fresh, and exit with 3 if one is not."""
     measure: bool = False
     """Measure them anew, on a clean commit."""
 
 
 def run(config: Config) -> None:
     """Do what is asked for."""
+    if config.check and config.measure:
+        raise ValueError("--check and --measure are two things: give one of them")
     if config.check:
         states = check(config.names)
         for name, state in states:
             print(f"{name:12} {state.verdict:15} {state.commit}")
-        sys.exit(any(state.verdict != "fresh" for _, state in states))
+        sys.exit(3 * any(state.verdict != "fresh" for _, state in states))
     if config.measure:
         for name, news in measure_all(config.names):
             print(f"{name}: {news}", flush=True)

@@ -67,7 +67,8 @@ class Options:
     """Write a dataset for offline learning."""
 
     id: str = ""
-    """Name of the dataset. Default: beltarm/randomized/mixed-v0, or of several moves beltarm/shift/mixed-v0."""
+    """Name of the dataset. Default: beltarm/randomized/mixed-v0, or of several moves beltarm/shift/mixed-v0; other
+    arms and sensors stand in it."""
     out: Path = Path("results/datasets")
     """Folder that datasets are in: MINARI_DATASETS_PATH, where Minari is to find it."""
     controller: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -98,7 +99,10 @@ class Options:
     @property
     def name(self) -> str:
         """Name of the dataset."""
-        return self.id or f"beltarm/{'randomized' if self.moves == 1 else 'shift'}/mixed-v0"
+        several = "" if self.moves == 1 else "shift"
+        arms = {"train": several or "randomized", "ideal": f"ideal{several}", "off": f"nominal{several}"}
+        sensors = "" if self.sensors == "encoder" else f"-{self.sensors}"
+        return self.id or f"beltarm/{arms[self.randomization]}{sensors}/mixed-v0"
 
 
 def export(options: Options) -> None:
@@ -124,7 +128,7 @@ def export(options: Options) -> None:
         metadata = write_dataset(options, done)
     megabytes = sum(file.stat().st_size for file in path.rglob("*")) / 1e6
     costs = pd.DataFrame(metadata).pivot_table("cost", "controller", "disturbance")
-    print("mean cost", costs.round().to_string(na_rep="–"), sep="\n")
+    print("mean cost of an episode, the sum of its moves", costs.round().to_string(na_rep="–"), sep="\n")
     print(f"written to {path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
     print(f'  dataset = minari.load_dataset("{options.name}")')
 
@@ -167,7 +171,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
         "ref_min_score": low,
         "ref_max_score": high,
         "num_episodes_average_score": SCORED,
-        "description": TEMPLATES.get_template("dataset.txt.j2").render(names=names, share=share, moves=options.moves),
+        "description": TEMPLATES.get_template("dataset.txt.j2").render(names=names, share=share, **settings),
         "requirements": [f"beltarm-env=={__version__}"],
     }
     more = {
@@ -271,6 +275,8 @@ def run_episodes(
     seen, _ = env.reset(seed=seeds)
     check_data_sheet(nominal_params(controller), env.params_table, name)
     check_profile(controller, env.profile)
+    if (own := getattr(controller, "sensors", "encoder")) not in ("encoder", env.sensors):
+        raise ValueError(f"{name} reads sensors={own!r}, got {env.sensors!r}: give --sensors {own}")
     params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
     samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []
     for k in range(len(noise)):

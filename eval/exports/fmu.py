@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from importlib.util import find_spec
 from io import BytesIO
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,10 +50,13 @@ _ASSUMED = re.compile(r" *\(a\)")
 _PLATFORMS = {
     "linux64": ("Linux x86_64", "x86_64-linux-gnu", ".so"),
     "win64": ("Windows AMD64", "x86_64-windows-gnu", ".dll"),
-    "darwin64": ("Darwin x86_64 arm64", "x86_64-macos", ".dylib"),
+    "darwin64": ("Darwin x86_64", "x86_64-macos", ".dylib"),
     "aarch64-linux": ("Linux aarch64", "aarch64-linux-gnu", ".so"),
+    "aarch64-darwin": ("Darwin arm64", "aarch64-macos", ".dylib"),
 }
-"""Machines that a compiler of their own builds for, target of zig and suffix of files, by folder of binaries."""
+"""Machines that a compiler of their own builds for, target of zig and suffix of files, by folder of binaries.
+
+FMI 2.0 names the folders of x86-64 alone; those of ARM are named as FMI 3.0 has them."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # time of all files in the archive, so that two exports are equal
 
 
@@ -155,14 +157,22 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
     return texts(f"{{{uuid.uuid5(uuid.NAMESPACE_URL, content)}}}")
 
 
-def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
-    """Folder of binaries, suffix of its files and compiler, for this kind of machine and others that zig builds for."""
+def _toolchains(alone: bool = False) -> Iterator[tuple[str, str, Toolchain]]:
+    """Folder of binaries, suffix of its files and compiler, for this kind of machine and others that zig builds for.
+
+    Raises:
+        ValueError: If this machine is wanted alone, and is none that a folder is named after.
+    """
     here, others = {platform.system(), platform.machine()}, []
     for folder, (machines, target, suffix) in _PLATFORMS.items():
         if here <= {*machines.split()}:
             yield folder, suffix, native()
         elif find_spec("ziglang") is not None:
             others.append((folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))))
+            if alone:
+                return
+    if alone:
+        raise ValueError(f"FMUs have no binaries for {' '.join(here)}: leave --native out")
     yield from others
 
 
@@ -187,7 +197,7 @@ def packed(params: ArmParams, native: bool = False) -> tuple[bytes, list[str], d
     with tempfile.TemporaryDirectory() as folder:
         for name, content in files.items():
             (Path(folder) / Path(name).name).write_bytes(content)
-        for kind, suffix, toolchain in progress_over("platforms", islice(_toolchains(), 1 if native else None)):
+        for kind, suffix, toolchain in progress_over("platforms", _toolchains(native)):
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)
             try:

@@ -7,6 +7,7 @@ bit. docs/guide/export.md tells how to use it.
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
@@ -59,25 +60,31 @@ class Options:
 
 
 def export(options: Options) -> None:
-    """Write the folder and check the program in it, which has to be the controller."""
+    """Check the program, which has to be the controller, and write the folder; an earlier one stays where it is not."""
     require_bounds(options, episodes=(1, 200), plan_samples=(1, 19))
     require_free(options.out)
     if options.check:
         native()  # before the work, not after it
     loop = loop_of(options.source, options.guard, options.plan_samples)
     loop = replace(loop, name=options.name) if options.name else loop
+    if options.check:
+        with TemporaryDirectory(prefix="beltarm-") as temporary:
+            _check(options, loop, Path(temporary) / "export")
     write_program(options.out, loop)
     print(f"written to {options.out}: {loop.name}.h, {loop.name}.c and what goes with them")
-    if not options.check:
-        return
+
+
+def _check(options: Options, loop: Loop, folder: Path) -> None:
+    """Write a program into a folder, compile it and compare it with its controller."""
+    write_program(folder, loop)
     splits, controller = development_set().splits, controller_of(options.source, options.guard)
     differing = samples = 0
     for split in (splits["randomized"], splits["shift"].shortened(2)):  # with a move that begins where one ended
-        agreement = compare(options.out, loop, controller, split, options.episodes)
+        agreement = compare(folder, loop, controller, split, options.episodes)
         differing, samples = differing + agreement.samples - agreement.equal, samples + agreement.samples
         print(f"{split.name}: {agreement.words()}")
     for core in processors_for(loop.identifies):
-        if taken := footprint(options.out, loop.name, core):
+        if taken := footprint(folder, loop.name, core):
             print(f"{core}: {', '.join(f'{size / 1024:.0f} kB of {kind}' for kind, size in taken._asdict().items())}")
     if differing and options.plan_samples == 1:
         raise ValueError(f"program and controller differ in {differing} of {samples} samples")

@@ -175,7 +175,6 @@
   function toggle(on) {
     playing = on;
     play.textContent = on ? "Pause" : "Play";
-    play.setAttribute("aria-pressed", on);
     if (!on) return;
     if (frame >= scene.reference.length - 1) seek(0);
     before = performance.now();

@@ -82,7 +82,9 @@ def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
     best = {split: comparison.best_classical(split) for split in costs}
     losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.name != name}
     if losses and challengers:
-        notable.append((f"where {name} loses most to the best classical controller", *_extreme(losses)))
+        split, scenario = _extreme(losses)
+        title = "loses most to" if losses[split][scenario] > 0 else "gains least on"
+        notable.append((f"where {name} {title} the best classical controller", split, scenario))
         split, scenario = _extreme({split: -values for split, values in losses.items()})
         title = "gains most on" if losses[split][scenario] < 0 else "comes nearest to"
         notable.append((f"where {name} {title} the best classical controller", split, scenario))

@@ -113,13 +113,14 @@ def test_a_mode_that_the_linker_sets_is_refused(exported: Path, tmp_path: Path):
     assert fault == 1 + list(FAULTS).index("tiny") and set(torques) == {0.0}
 
 
-def test_wrong_counts_give_no_torque(exported: Path, tmp_path: Path, compiler: tuple[str, ...]):
+def test_wrong_counts_and_no_move_give_no_torque(exported: Path, tmp_path: Path, compiler: tuple[str, ...]):
     shutil.copytree(exported, tmp_path / "ei")
-    for counts in ("0", "-4000", "2000000000"):
-        (tmp_path / "ei" / "main.c").write_text(MAIN.format(name="ei").replace("4000", counts))
+    wrong = 1 + list(FAULTS).index("counts")
+    changes = [("4000", counts, wrong) for counts in ("0", "-4000", "2000000000")]
+    for before, after, why in (*changes, ("ei_reset(&controller", "ei_next(&controller", 0)):
+        (tmp_path / "ei" / "main.c").write_text(MAIN.format(name="ei").replace(before, after))
         assert built((*compiler, *RIGHT), tmp_path / "ei", tmp_path / "program")
-        fault, torques = ran(tmp_path / "program")
-        assert fault == 1 + list(FAULTS).index("counts") and set(torques) == {0.0}
+        assert ran(tmp_path / "program") == (why, [0.0] * len(ran(tmp_path / "program")[1]))
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")

@@ -51,6 +51,8 @@ def unpacked(path: Path) -> tuple[Path, Any]:
 
 
 class Slave:
+    stop: float | None = None
+
     def __init__(self, unpacked: tuple[Path, Any], said: list[str]) -> None:
         folder, description = unpacked
         self.said, self.callbacks = said, fmi2CallbackFunctions()
@@ -62,7 +64,7 @@ class Slave:
 
     def begin(self, params: ArmParams, joint_angle: float = 0.0, **others: float) -> None:
         constants = {**asdict(params), "initial_joint_angle": joint_angle, **others}
-        self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.setupExperiment(startTime=0.0, stopTime=self.stop)
         self.fmu.setReal([REFERENCES[name] for name in constants], list(constants.values()))
         self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
@@ -203,7 +205,7 @@ def test_builds_that_differ_or_fail(compiler: tuple[str, ...], tmp_path: Path, m
     rounding = Toolchain((*compiler, "-freciprocal-math", "-U__RECIPROCAL_MATH__"))
     broken = Toolchain((sys.executable, "-c", "raise SystemExit('no such target')"))
     chains = [("linux64", ".so", rounding), ("win64", ".dll", broken)]
-    monkeypatch.setattr(fmu, "_toolchains", lambda: chains)
+    monkeypatch.setattr(fmu, "_toolchains", lambda _: chains)
     content, made, failed = fmu.packed(ArmParams())
     assert made == ["linux64"] and list(failed) == ["win64"] and "no such target" in failed["win64"]
     (tmp_path / "arm.fmu").write_bytes(content)
@@ -235,11 +237,13 @@ def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any], name
 
 def test_calls_that_make_no_sense_are_refused(unpacked: tuple[Path, Any]):
     with running(unpacked) as slave:
+        slave.stop = 0.02
         slave.begin(ArmParams())
         slave.step(0.0, 0.1, 0.002)
         for at, length, named in (
             *((0.002, length, "communicationStepSize") for length in (0.0, -CONTROL_PERIOD, math.nan, math.inf)),
             (0.001, 0.001, "currentCommunicationPoint"),
+            (0.002, 0.019, "stop time"),
         ):
             with pytest.raises(Exception, match="fmi2DoStep failed"):
                 slave.step(at, 0.1, length)

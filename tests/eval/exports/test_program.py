@@ -166,6 +166,7 @@ def test_what_no_program_is(compiler: Any, tmp_path: Path):
     for name, word in {"Quintic": "'trapezoid'", "Geared": "gear_ratio 120.0"}.items():
         assert word in mistake(export.main, ("c", f"own.py:{name}", "--no-check", "--out", "made"), tmp_path)
     assert "differ" in mistake(export.main, ("c", "own.py:Tired", "--episodes", "1", "--out", "made"), tmp_path)
+    assert not (tmp_path / "made").exists()
 
 
 def test_users_files_are_not_replaced(tmp_path: Path):
