@@ -99,12 +99,9 @@ def run(config: Config) -> None:
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
     if config.verify is not None:
-        for name in ("methods", "splits", "quick", "episodes", "scenarios", "scenario_seed", "guard", "fresh", "out"):
-            if getattr(config, name) != getattr(Config, name):
-                option = f"--{name.replace('_', '-')}"
-                raise ValueError(
-                    f"{option} has no effect beside --verify, which runs what the results claim: leave it out"
-                )
+        names = ("methods", "splits", "quick", "episodes", "scenarios", "scenario_seed", "guard", "fresh", "out")
+        if vain := [name.replace("_", "-") for name in names if getattr(config, name) != getattr(Config, name)]:
+            raise ValueError(f"--{vain[0]} has no effect beside --verify, which runs what results claim: leave it out")
         with progress_count("parts", console) as done:
             news, sound = verify(config.verify, config, verdict, config.policy, config.add, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)

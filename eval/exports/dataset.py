@@ -67,8 +67,7 @@ class Options:
     """Write a dataset for offline learning."""
 
     id: str = ""
-    """Name of the dataset. Default: beltarm/randomized/mixed-v0, or of several moves beltarm/shift/mixed-v0; other
-    arms and sensors stand in it."""
+    """Name of the dataset. Default: beltarm/randomized/mixed-v0, of several moves beltarm/shift/mixed-v0, and so on."""
     out: Path = Path("results/datasets")
     """Folder that datasets are in: MINARI_DATASETS_PATH, where Minari is to find it."""
     controller: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -99,10 +98,9 @@ class Options:
     @property
     def name(self) -> str:
         """Name of the dataset."""
-        several = "" if self.moves == 1 else "shift"
-        arms = {"train": several or "randomized", "ideal": f"ideal{several}", "off": f"nominal{several}"}
-        sensors = "" if self.sensors == "encoder" else f"-{self.sensors}"
-        return self.id or f"beltarm/{arms[self.randomization]}{sensors}/mixed-v0"
+        arms = {"train": "randomized", "ideal": "ideal", "off": "nominal"}[self.randomization]
+        words = ["shift"] * (self.moves > 1) + [arms] * (self.moves == 1 or self.randomization != "train")
+        return self.id or f"beltarm/{'-'.join(words + [self.sensors] * (self.sensors != 'encoder'))}/mixed-v0"
 
 
 def export(options: Options) -> None:

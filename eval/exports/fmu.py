@@ -12,7 +12,6 @@ import sys
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from importlib.util import find_spec
 from io import BytesIO
@@ -54,9 +53,8 @@ _PLATFORMS = {
     "aarch64-linux": ("Linux aarch64", "aarch64-linux-gnu", ".so"),
     "aarch64-darwin": ("Darwin arm64", "aarch64-macos", ".dylib"),
 }
-"""Machines that a compiler of their own builds for, target of zig and suffix of files, by folder of binaries.
-
-FMI 2.0 names the folders of x86-64 alone; those of ARM are named as FMI 3.0 has them."""
+"""Machines that a compiler of their own builds for, target of zig and suffix of files, by folder of binaries: FMI 2.0
+names those of x86-64, FMI 3.0 those of ARM."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # time of all files in the archive, so that two exports are equal
 
 
@@ -157,23 +155,17 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
     return texts(f"{{{uuid.uuid5(uuid.NAMESPACE_URL, content)}}}")
 
 
-def _toolchains(alone: bool = False) -> Iterator[tuple[str, str, Toolchain]]:
-    """Folder of binaries, suffix of its files and compiler, for this kind of machine and others that zig builds for.
-
-    Raises:
-        ValueError: If this machine is wanted alone, and is none that a folder is named after.
-    """
-    here, others = {platform.system(), platform.machine()}, []
+def _toolchains(alone: bool = False) -> list[tuple[str, str, Toolchain]]:
+    """Folder of binaries, suffix of its files and compiler, for this kind of machine and others that zig builds for."""
+    chains = list[tuple[str, str, Toolchain]]()
     for folder, (machines, target, suffix) in _PLATFORMS.items():
-        if here <= {*machines.split()}:
-            yield folder, suffix, native()
-        elif find_spec("ziglang") is not None:
-            others.append((folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))))
-            if alone:
-                return
-    if alone:
-        raise ValueError(f"FMUs have no binaries for {' '.join(here)}: leave --native out")
-    yield from others
+        if {platform.system(), platform.machine()} <= {*machines.split()}:
+            chains.insert(0, (folder, suffix, native()))
+        elif not alone and find_spec("ziglang") is not None:
+            chains.append((folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))))
+    if not chains:
+        raise ValueError(f"no binaries are made for {platform.platform()}" + ": leave --native out" * alone)
+    return chains
 
 
 def write_fmu(path: Path, params: ArmParams, native: bool = False) -> list[str]:

@@ -170,8 +170,7 @@ def compare(
     with program_for(folder, loop, split, moves, toolchain, flags) as program:
         compiled = rollout(program, episodes, **arguments)
         times = program.times()
-    length = min(len(recording.torque), len(compiled.torque))
-    a, b = recording.torque[:length], compiled.torque[:length]
+    a, b = recording.torque, compiled.torque
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     largest = float(np.nanmax(np.abs(a - b), initial=0.0))
     return Agreement(same.size, int(same.sum()), largest, (recording.cost, compiled.cost), times)

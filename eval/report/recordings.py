@@ -82,12 +82,10 @@ def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
     best = {split: comparison.best_classical(split) for split in costs}
     losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.name != name}
     if losses and challengers:
-        split, scenario = _extreme(losses)
-        title = "loses most to" if losses[split][scenario] > 0 else "gains least on"
-        notable.append((f"where {name} {title} the best classical controller", split, scenario))
-        split, scenario = _extreme({split: -values for split, values in losses.items()})
-        title = "gains most on" if losses[split][scenario] < 0 else "comes nearest to"
-        notable.append((f"where {name} {title} the best classical controller", split, scenario))
+        for sign, usual, rare in ((1, "loses most to", "gains least on"), (-1, "gains most on", "comes nearest to")):
+            split, scenario = _extreme({split: sign * values for split, values in losses.items()})
+            title = usual if sign * losses[split][scenario] > 0 else rare
+            notable.append((f"where {name} {title} the best classical controller", split, scenario))
     return notable
 
 

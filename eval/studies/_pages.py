@@ -152,13 +152,11 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     if commit() != here:
         raise ValueError(f"the checkout was at {here} when this began, and is not now: measure again")
     for page in chosen:
-        replaced = set[str]()
         written = (MEASURED / page.name / page.data).stat().st_mtime  # before all others of this measurement
-        for path in sorted((MEASURED / page.name).iterdir()):
-            if path.is_file() and path.name not in page.left_out and path.stat().st_mtime >= written:
-                write_bytes(page.committed / path.name, path.read_bytes())
-                replaced.add(path.name)
+        files = {path.name: path for path in (MEASURED / page.name).glob("*.*") if path.stat().st_mtime >= written}
+        for name in {*files} - {*page.left_out}:
+            write_bytes(page.committed / name, files[name].read_bytes())
         for path in page.committed.iterdir():
-            if path.suffix != ".j2" and path.name not in replaced:
+            if path.suffix != ".j2" and path.name not in files:
                 path.unlink()  # a picture that is drawn no more
         yield page.name, "replaced"
