@@ -50,7 +50,7 @@ def run(config: RunConfig) -> None:
 
 
 def begun_options(config: RunConfig) -> dict[str, Any]:
-    """Options that the runs to be resumed were begun with, or resumed with last; where nothing is resumed, the usual.
+    """Options that the runs to be resumed were begun with, or resumed with last; where none are noted here, the usual.
 
     Raises:
         ValueError: If the file that notes them is damaged.
@@ -58,7 +58,8 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
     if not config.resume:
         return config.usual()
     command = config.out / COMMAND  # else a run that another program began
-    return noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
+    noted = noted_options(command if command.exists() else config.out / CONFIG, "out", "resume", "overwrite")
+    return noted or config.usual()  # what is resumed from a storage alone notes none here
 
 
 def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:

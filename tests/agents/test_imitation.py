@@ -319,3 +319,5 @@ def test_options_that_are_not_given_are_those_for_the_base():
     alone = {**ALONE, "hidden": tuple(ALONE["hidden"])}
     assert read("--base", "paper") == PpoConfig(**alone, base="paper")
     assert read("--teacher-rounds", "0", "--arms", "64") == PpoConfig(**{**alone, "teacher_rounds": 0, "arms": 64})
+    there = ("--base", "paper", "--out", "nowhere", "--resume")  # in a storage, with no options noted here
+    assert read(*there) == PpoConfig(**alone, base="paper", out=Path("nowhere"), resume=True)
