@@ -195,7 +195,7 @@ def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None
         if study.user_attrs.get("budget") == terms.budget:
             return SearchResult(**study.user_attrs["found"])
         run = _Search(kind, terms, study, channel or Channel())
-        if run.steps - study.user_attrs.get(_CHOSEN, 0) > steps:
+        if run.steps - run.chosen > steps:
             raise ValueError(f"{journal} holds more steps than --budget {terms.budget} allows: raise it, or tune anew")
         while run.steps + RUNGS[-1] * terms.moves * EPISODE_STEPS <= steps and run.refused < MAX_REFUSED:
             run.trial()
@@ -221,8 +221,9 @@ class _Search:
         self._kind, self._terms, self._study, self._channel = kind, terms, study, channel
         self._first, self._space = beginnings(kind.gains_type), space(kind.gains_type)
         self._untuned = self._first[0]
-        self.steps = terms.moves * EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
-        self.steps += study.user_attrs.get(_CHOSEN, 0)
+        self.chosen = study.user_attrs.get(_CHOSEN, 0)
+        arms = sum(trial.last_step or 0 for trial in self._trials())
+        self.steps = arms * terms.moves * EPISODE_STEPS + self.chosen
         self.refused = len(self._trials(TrialState.PRUNED))
         condition = terms.condition
         if condition is not None and condition.shortfall(untuned := kind()) > 0:
@@ -277,7 +278,7 @@ class _Search:
                 costs.append(self._costs(trial.params, GAIN_CHOICE.first, arms))
             except _FailureError:
                 costs.append(np.full(arms, WORST))
-        self._study.set_user_attr(_CHOSEN, self._study.user_attrs.get(_CHOSEN, 0) + self.steps - before)
+        self._study.set_user_attr(_CHOSEN, self.chosen + self.steps - before)
         every = [np.append(trial.user_attrs[_COSTS], own) for trial, own in zip(candidates, costs, strict=True)]
         best = int(np.argmin([both.mean() for both in every]))
         trials = self._trials(TrialState.COMPLETE)

@@ -273,7 +273,7 @@ def run_episodes(
     seen, _ = env.reset(seed=seeds)
     check_data_sheet(nominal_params(controller), env.params_table, name)
     check_profile(controller, env.profile)
-    if (own := getattr(controller, "sensors", "encoder")) not in ("encoder", env.sensors):
+    if (own := getattr(controller, "sensors", None)) in ("full", "accelerometer") and own != env.sensors:
         raise ValueError(f"{name} reads sensors={own!r}, got {env.sensors!r}: give --sensors {own}")
     params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
     samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []

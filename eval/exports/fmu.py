@@ -164,7 +164,7 @@ def _toolchains(alone: bool = False) -> list[tuple[str, str, Toolchain]]:
         elif not alone and find_spec("ziglang") is not None:
             chains.append((folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))))
     if not chains:
-        raise ValueError(f"no binaries are made for {platform.platform()}" + ": leave --native out" * alone)
+        raise ValueError(f"no binaries are made for {platform.platform()}{': leave --native out' if alone else ''}")
     return chains
 
 
