@@ -231,13 +231,15 @@ class _Given:
         if array == self.last:
             self.code += "o"
             return None
-        if array.memory in self.arguments:
-            raise TranslationError("it returns a view of an argument: return a copy")
+        if array.memory in (*self.arguments, ""):
+            raise TranslationError("it returns what may be a view of an argument: return a copy")
         if array.strides != arrays.contiguous(array.shape):
             copy = self.scope.allocate([arrays.sized(size) for size in array.shape], array.dtype)
             self.scope.fill(copy, array)
             array = copy
-        letter = next(letter for letter, dtype in _DTYPES.items() if dtype_of(dtype) == array.dtype)
+        letter = next((letter for letter, dtype in _DTYPES.items() if dtype_of(dtype) == array.dtype), None)
+        if letter is None:
+            raise TranslationError(f"it returns an array of {array.dtype}: return one of int64")
         self.code += f"A{letter}{len(array.shape)}"
         self._put("p", f"given_array({array.code}, sizeof({array.dtype}), {arrays.text(arrays.count_of(array.shape))})")
         for size in array.shape:

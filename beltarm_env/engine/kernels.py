@@ -232,7 +232,8 @@ class Kernel:
         elif types not in self._refused:
             self._refused.add(types)
             name = f"{self.__module__}.{self.py_func.__qualname__}"
-            why = str(error).partition("\n")[0]
+            lines = str(error).splitlines()
+            why = next((line for line in lines if " error: " in line), lines[0])  # of a compiler, before its command
             print(f"beltarm: {name} runs in plain Python: {why}", file=sys.stderr, flush=True)
 
     def _missing(self, *arguments: Any) -> Any:

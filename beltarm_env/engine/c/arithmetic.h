@@ -60,6 +60,10 @@ static inline int64_t int_sub(int64_t a, int64_t b) { return (int64_t)((uint64_t
 static inline int64_t int_mul(int64_t a, int64_t b) { return (int64_t)((uint64_t)a * (uint64_t)b); }
 static inline int64_t int_abs(int64_t a) { return a < 0 ? int_sub(0, a) : a; }
 
+/* By 64 places and more nothing is left; C leaves open what a shift by so many gives. */
+static inline uint64_t shift_left(uint64_t a, uint64_t b) { return b < 64 ? a << b : 0; }
+static inline uint64_t shift_right(uint64_t a, uint64_t b) { return b < 64 ? a >> b : 0; }
+
 static inline int64_t floor_div(int64_t a, int64_t b)
 {
     if (b == 0 || b == -1) {
@@ -99,6 +103,9 @@ static inline real real_mod(real a, real b)
 
 static inline real real_floor_div(real a, real b)
 {
+    if (b == 0) {
+        return a / b;
+    }
     real rest = real_fmod(a, b);
     real whole = (a - rest) / b;
     if (rest != 0 && (rest < 0) != (b < 0)) {

@@ -54,7 +54,7 @@ static __attribute__((noinline, unused, malloc)) void *heap_array(size_t size, i
 {
     HeapArray *made = count < 0 ? NULL : malloc(sizeof(HeapArray) + size * (size_t)count);
     if (made == NULL) {
-        fail("there is not enough memory for an array");
+        fail(count < 0 ? "an array has a negative length" : "there is not enough memory for an array");
     }
     made->before = beltarm_heap;
     beltarm_heap = made;

@@ -160,6 +160,8 @@ class Assignments(Calls):
         parts: list[tuple[str, Any]] = []
         for field, part in value.fields:
             label = f"{name}.{field}"
+            if isinstance(part, Lazy):
+                raise TranslationError(f"the array expression for {label} must be written into an array before")
             if often and isinstance(part, Const):
                 if isinstance(part.value, NUMBERS):
                     part = scalar(part)

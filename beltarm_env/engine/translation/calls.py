@@ -86,8 +86,8 @@ class Calls(Expressions):
             if hasattr(make, "_fields"):
                 return self.tuple_of(_ordered(make._fields, {}, parts_of(self.value(entries)), {}), make)
         if node.func.attr == "_replace":
-            owner = self.value(node.func.value)
-            changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+            owner, *values = self.in_order([node.func.value, *(keyword.value for keyword in node.keywords)])
+            changed = dict(zip([str(keyword.arg) for keyword in node.keywords], values, strict=True))
             make = make_of(owner)
             if make is not None:
                 _require_known(changed, make._fields)
@@ -146,7 +146,7 @@ class Calls(Expressions):
     def _each(self, target: Array, value: Value) -> None:
         """Write the elements of an array one by one."""
         self.counter += 1
-        names = [f"e{axis}_{self.counter}" for axis in range(len(target.shape))]
+        names = [self.c_name(f"e{axis}_{self.counter}") for axis in range(len(target.shape))]
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             kind = INT if isinstance(size, str) else SMALL
@@ -200,8 +200,8 @@ def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[
     for value in values[1:]:
         a, b = scalar(found), scalar(value)
         dtype = joined(a.dtype, b.dtype)
-        if dtype == BOOL:
-            raise TranslationError(f"{name} of two bools is a bool: write and, or")
+        if dtype in (BOOL, UNSIGNED):
+            raise TranslationError(f"{name} of two numbers of type {dtype} is not translated: write a condition")
         a, b = cast(a, dtype), cast(b, dtype)
         kind = {REAL: "real", SINGLE: "float"}.get(dtype, "int")
         code = f"{kind}_{name}({bare(a.code)}, {bare(b.code)})"
@@ -218,6 +218,8 @@ def _absolute(self: Calls, value: Value) -> Value:
     number = scalar(value)
     if number.dtype == BOOL:
         raise TranslationError("a bool has no sign: write int(a)")
+    if number.dtype == UNSIGNED:
+        return number
     if number.dtype in WHOLE:
         low, high = span(number)
         spanned = (LEAST, MOST) if low == LEAST else (0, max(-low, high))
@@ -253,6 +255,15 @@ def _converts(dtype: str) -> Callable[..., Value]:
         return cast(value, SMALL if dtype == INT and scalar(value).dtype == BOOL else dtype)
 
     return convert
+
+
+def _in_double(function: Callable[..., Value]) -> Callable[..., Value]:
+    """Translate a function of Python, which computes in float64, by that of NumPy."""
+
+    def of_double(self: Calls, value: Value) -> Value:
+        return function(self, Const(float(value.value)) if isinstance(value, Const) else cast(value, REAL))
+
+    return of_double
 
 
 def _of_real(name: str, function: Callable[..., Any], dtype: str = REAL) -> Callable[..., Value]:
@@ -296,7 +307,9 @@ def _full(self: Calls, shape: Value, value: Value, dtype: Value = _FLOAT64) -> V
 
 
 def _filled(self: Calls, shape: Value, value: Value, dtype: Value | None = None) -> Value:
-    kind = {REAL: np.float64, SINGLE: np.float32, BOOL: np.bool_}.get(scalar(value).dtype, np.int64)
+    kind = {REAL: np.float64, SINGLE: np.float32, BOOL: np.bool_, UNSIGNED: np.uint64}.get(
+        scalar(value).dtype, np.int64
+    )
     return _full(self, shape, value, dtype or Const(kind))
 
 
@@ -333,12 +346,12 @@ def _square(self: Calls, value: Value) -> Value:
 
 
 TRANSLATED: dict[Any, Callable[..., Value]] = {
-    **{max: _largest, min: _least, abs: _absolute, np.abs: _absolute, math.fabs: _absolute},
+    **{max: _largest, min: _least, abs: _absolute, np.abs: _absolute, math.fabs: _in_double(_absolute)},
     **{len: _length, range: _range, enumerate: _numbered},
     **{int: _converts(INT), float: _converts(REAL), bool: _converts(BOOL)},
     **{np.float64: _converts(REAL), np.float32: _converts(SINGLE), np.int64: _converts(INT)},
     **{np.uint64: _converts(UNSIGNED), slice: _slice, words.add: _add, words.look: _look},
-    **{math.sqrt: _of_real("real_sqrt", math.sqrt), np.sqrt: _of_real("real_sqrt", math.sqrt)},
+    **{np.sqrt: _of_real("real_sqrt", math.sqrt), math.sqrt: _in_double(_of_real("real_sqrt", math.sqrt))},
     **{np.floor: _of_real("real_floor", math.floor), np.ceil: _of_real("real_ceil", math.ceil)},
     **{math.floor: _of_real("real_floor", math.floor, INT), math.ceil: _of_real("real_ceil", math.ceil, INT)},
     **{np.sign: _of_real("real_sign", np.sign)},

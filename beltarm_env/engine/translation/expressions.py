@@ -30,12 +30,15 @@ from beltarm_env.engine.translation.types import (
     is_named_tuple,
     joined,
     make_of,
+    names_of,
     parts_of,
     reads_memory,
+    shown,
 )
 from beltarm_env.engine.translation.whole import either
 
-CALL = re.compile(rf"\b{PREFIX}\w+\(")
+WRITES = re.compile(rf"\b{PREFIX}\w+\(|__atomic_fetch_add|^[^=]*\] = ")
+"""A line of C that may change what was read before: a call, or an assignment to an element."""
 
 
 class Expressions(Scope):
@@ -120,8 +123,14 @@ class Expressions(Scope):
 
     def indices(self, node: ast.expr) -> list[Any]:
         """Evaluate an index: values, and pairs of start and stop."""
-        nodes = node.elts if isinstance(node, ast.Tuple) else [node]
-        return [self._index(entry) for entry in nodes]
+        found: list[Any] = []
+        for entry in node.elts if isinstance(node, ast.Tuple) else [node]:
+            index, lines = self.apart(lambda entry=entry: self._index(entry))
+            if any(WRITES.search(line) for line in lines):
+                found = [at if isinstance(at, tuple) else self.held(at) for at in found]
+            self.lines += lines
+            found.append(index)
+        return found
 
     def _index(self, node: ast.expr) -> Any:
         if isinstance(node, ast.Slice):
@@ -189,7 +198,7 @@ class Expressions(Scope):
     def then(self, first: Value, node: ast.expr) -> tuple[Value, Value]:
         """Evaluate an expression after another value, as `in_order`."""
         value, lines = self.apart(lambda: self.value(node))
-        if reads_memory(first) and any(CALL.search(line) for line in lines):
+        if reads_memory(first) and any(WRITES.search(line) for line in lines):
             first = self.held(first)
         self.lines += lines
         return first, value
@@ -277,7 +286,7 @@ class Expressions(Scope):
                 found = operand_of(operand)
                 continue
             later, written = self.apart(lambda operand=operand: operand_of(operand))
-            if isinstance(later, Const):
+            if isinstance(later, Const) and not written:
                 if later.value != conjunction:
                     return later
                 continue
@@ -286,11 +295,11 @@ class Expressions(Scope):
                 self.write(f"{name} = {bare(found.code)};")
                 self.write(f"if ({name if conjunction else f'!{name}'}) {{")
                 self.lines += [f"    {line}" for line in written]
-                self.write(f"    {name} = {bare(later.code)};")
+                self.write(f"    {name} = {bare(scalar(later).code)};")
                 self.write("}")
                 found = Scalar(BOOL, name)
             else:
-                found = Scalar(BOOL, f"({found.code} {'&&' if conjunction else '||'} {later.code})")
+                found = Scalar(BOOL, f"({found.code} {'&&' if conjunction else '||'} {scalar(later).code})")
         return found
 
     def _ifexp(self, node: ast.IfExp) -> Value:
@@ -301,6 +310,8 @@ class Expressions(Scope):
         second, before_second = self.apart(lambda: self.value(node.orelse))
         if isinstance(first, Group) or isinstance(second, Group):
             first_parts, second_parts = parts_of(first), parts_of(second)
+            if make_of(first) is not make_of(second) or names_of(first) != names_of(second):
+                raise TranslationError(f"a choice between {shown(first)} and {shown(second)}: take tuples of one class")
             if before_first or before_second:
                 raise TranslationError("a choice between tuples takes no calls")
             asked = self.kept(asked)

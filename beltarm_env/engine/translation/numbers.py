@@ -198,6 +198,8 @@ def _unsigned(kind: type, left: Any, right: Any) -> Scalar:
     if kind not in UNSIGNED_OPERATORS:
         raise TranslationError(f"no operation {kind.__name__} on {UNSIGNED}")
     a, b = cast(left, UNSIGNED), cast(right, UNSIGNED)
+    if kind in (ast.LShift, ast.RShift) and not (isinstance(right, Const) and right.value < 64):
+        return Scalar(UNSIGNED, f"shift_{'left' if kind is ast.LShift else 'right'}({bare(a.code)}, {bare(b.code)})")
     return Scalar(BOOL if kind in COMPARISONS else UNSIGNED, f"({a.code} {UNSIGNED_OPERATORS[kind]} {b.code})")
 
 

@@ -100,7 +100,7 @@ class Program:
             self.tables[key] = (label, f"static const {dtype} {label}[{size}] = {{ /* {_shape(values)} */\n{body}\n}};")
         shape = tuple(map(int, values.shape))
         label = self.tables[key][0]
-        return Array(dtype, shape, arrays.contiguous(shape), label, constant=True, memory=label)
+        return Array(dtype, shape, arrays.contiguous(shape), label, constant=True, memory=label, checked=self.checked)
 
     def used_tables(self) -> list[str]:
         """Declarations of the tables that functions read; the others were known number by number."""

@@ -37,7 +37,8 @@ RESERVED = set(
     "uint32_t uint64_t size_t y0 y1 yn j0 j1 jn gamma signgam exp log sin cos tan pow round floor ceil sqrt fabs fmod "
     "floorf ceilf sqrtf fabsf fmodf isnan isfinite isinf square cube fourth_power floor_div floor_mod real_sqrt "
     "real_floor real_ceil real_fmod real_abs real_sign real_mod real_floor_div real_max real_min float_max float_min "
-    "int_max int_min int_abs int_add int_sub int_mul int_of int_at int_cut INT64_C INT64_MIN".split()
+    "int_max int_min int_abs int_add int_sub int_mul int_of int_at int_cut INT64_C INT64_MIN heap result_ shift_left "
+    "shift_right".split()
 )
 """Names that mean something else in C, or in the headers of the programs."""
 
@@ -75,6 +76,7 @@ class Scope:
     changed: bool = False
     taken: set[str] = field(default_factory=set)
     places: dict[str, str] = field(default_factory=dict)  # names of C of the kernel's variables
+    counters: set[str] = field(default_factory=set)  # of loops, which are over before what is made of them is
     parameters: dict[str, Any] = field(default_factory=dict)  # names of C and types
     assigned: dict[str, int] = field(default_factory=dict)  # how often each variable is, but by loops
     forms: dict[str, Any] = field(default_factory=dict)  # of variables that are assigned more than once
@@ -99,7 +101,7 @@ class Scope:
 
     def c_name(self, name: str) -> str:
         """Find a name of C for a variable."""
-        name = re.sub(r"\W", "_", name)
+        name = re.sub(r"\W", "_", "".join(one if one.isascii() else f"u{ord(one):x}_" for one in name))
         wanted = f"{name}_" if name in RESERVED or name in self.program.taken else name
         while wanted in self.taken:
             wanted += "_"
@@ -158,13 +160,16 @@ class Scope:
 
     def stays(self, array: Array) -> bool:
         """Tell whether an array has a name of C, and is what a name that is set here stands for, as long as it does."""
-        names = (array.code, *map(str, (*array.shape, *array.strides)))
-        return array.code.isidentifier() and not self.changes(array) and not any(map(self.set_without, names))
+        texts = (array.code, *map(str, (*array.shape, *array.strides)))
+        return array.code.isidentifier() and not self.changes(array) and not any(map(self.set_without, texts))
 
-    def set_without(self, name: str) -> bool:
-        """Tell whether a turn of a loop may set a variable of C, and not come to this block."""
-        within = self.locals[name].within if name in self.locals else None
-        return self.loops > 0 and within is not None and within[: len(self.within)] != self.within
+    def set_without(self, text: str) -> bool:
+        """Tell whether a loop counts by a variable of C of an expression, or may set it and not come to this block."""
+        for name in re.findall(r"[A-Za-z_]\w*", text) if self.loops else ():
+            within = self.locals[name].within if name in self.locals else None
+            if name in self.counters or (within is not None and within[: len(self.within)] != self.within):
+                return True
+        return False
 
     def often(self, name: str) -> bool:
         """Tell whether a variable, or one of its parts, is assigned more than once."""

@@ -59,7 +59,8 @@ class Statements(Assignments):
         """Fail with a text, which the glue raises."""
         match statement.exc:
             case ast.Call(ast.Name("ValueError"), [ast.Constant(str(text))]) if self.program.runs_here:
-                self.write(f"fail({json.dumps(text)});")
+                literal = json.dumps(text).replace("??", '?""?')  # which C would read as other characters
+                self.write(f"fail({literal});")
                 return True
         raise TranslationError(f"{construct(statement)} is not translated, only ValueError('text'), for Python")
 
@@ -180,6 +181,7 @@ class Statements(Assignments):
 
     def _turn(self, name: str, counter: Scalar, own: bool, body: list[ast.stmt]) -> None:
         """Translate one turn of a loop."""
+        self.counters.add(counter.code)
         if own:
             self.names[name] = counter
         else:
@@ -212,6 +214,7 @@ class Statements(Assignments):
         row = Scalar(INT, place, (0, 2**31 - 1))
 
         def turn() -> None:
+            self.counters.add(place)
             entry = arrays.view(array, [row])
             self.assign(statement.target, scalar(entry) if isinstance(entry, Scalar) else entry)
             self.block(statement.body)

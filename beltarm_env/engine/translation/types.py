@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ DTYPES = {
     **{np.dtype(np.float64): REAL, np.dtype(np.float32): SINGLE, np.dtype(np.int64): INT, np.dtype(np.bool_): BOOL},
     **{np.dtype(np.uint64): UNSIGNED, np.dtype(np.int8): BYTE},
 }
+_OF_TUPLES = ("__add__", "__len__", "__getitem__", "__iter__", "__eq__", "__mul__")
 Size = int | str  # a number, or an expression of C
 
 
@@ -181,14 +183,16 @@ def joined(a: Any, b: Any) -> Any:
         shape = tuple(m if m == n else None for m, n in zip(a.shape, b.shape, strict=True))
         strides = tuple(m if m == n else None for m, n in zip(a.strides, b.strides, strict=True))
         return ArrayType(a.dtype, shape, strides, a.constant or b.constant)
-    if isinstance(a, RecordType) and isinstance(b, RecordType) and len(a.fields) == len(b.fields):
-        fields = zip(a.fields, b.fields, strict=True)
-        return record_type(a.make or b.make, tuple((m, joined(s, t)) for (m, s), (_, t) in fields))
+    if isinstance(a, RecordType) and isinstance(b, RecordType) and a.make is b.make:
+        if [name for name, _ in a.fields] == [name for name, _ in b.fields]:
+            fields = zip(a.fields, b.fields, strict=True)
+            return record_type(a.make, tuple((name, joined(s, t)) for (name, s), (_, t) in fields))
     raise TranslationError(f"{shown_type(a)} and {shown_type(b)} have no type in common")
 
 
 def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:
     """Make the type of a struct, called like its class, or like its entries' types."""
+    require_plain(make)
     if make is not None:
         return RecordType(make.__name__.lstrip("_"), fields, make)
     short = {REAL: "r", SINGLE: "f", INT: "i", SMALL: "s", BOOL: "b", UNSIGNED: "u"}
@@ -230,6 +234,13 @@ def make_of(value: Value) -> Any:
     return value.type.make if isinstance(value, Record) else getattr(value, "make", None)
 
 
+def names_of(value: Value) -> list[str]:
+    """Names of the entries of a tuple."""
+    if isinstance(value, Const):
+        return [name for name, _ in known_group(value).fields]
+    return [name for name, _ in (value.type if isinstance(value, Record) else value).fields]  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def known_group(value: Const) -> Group:
     """A known tuple as its entries, each known."""
     make = make_of(value)
@@ -237,8 +248,21 @@ def known_group(value: Const) -> Group:
     return Group(make, tuple(zip(names, parts_of(value), strict=True)))
 
 
+@cache
+def require_plain(make: Any) -> None:
+    """Refuse a class of named tuples that are not what tuples are."""
+    if not hasattr(make, "_fields"):
+        return
+    own = [name for name in _OF_TUPLES if getattr(make, name) is not getattr(tuple, name)]
+    of = next(k for k, base in enumerate(make.__mro__) if "_fields" in vars(base))
+    own += ["__new__" for base in make.__mro__[:of] if "__new__" in vars(base)]
+    if own:
+        raise TranslationError(f"{make.__name__} has {own[0]} of its own, which is not translated: write a function")
+
+
 def parts_of(value: Value) -> list[Value]:
     """Entries of a tuple."""
+    require_plain(make_of(value))
     if isinstance(value, Group):
         return [part for _, part in value.fields]
     if isinstance(value, Record):
@@ -257,6 +281,8 @@ def key_of(value: Any) -> Any:
     """What tells known values apart."""
     if value is None or isinstance(value, str | int | float | bool):
         return (type(value).__name__, repr(value))  # 0.0 and -0.0 are two
+    if isinstance(value, np.generic):
+        return (type(value).__name__, repr(value.item()))
     if isinstance(value, tuple):
-        return (type(value).__name__, *map(key_of, value))
+        return (type(value), *map(key_of, value))
     return id(value)

@@ -72,7 +72,7 @@ def arithmetic(kind: type, a: Scalar, b: Scalar) -> Scalar:
         name = "floor_div" if kind is ast.FloorDiv else "floor_mod"
         return whole(f"{name}({a.code}, {b.code})", max(low, LEAST), min(high, MOST))
     if not fits(low, high, INT):
-        return Scalar(INT, f"{_WRAPPING[kind]}({a.code}, {b.code})", (low, high))
+        return Scalar(INT, f"{_WRAPPING[kind]}({a.code}, {b.code})")  # anything: it wraps
     wide = not fits(low, high, SMALL) and INT not in (a.dtype, b.dtype)
     return whole(f"({'(int64_t)' if wide else ''}{a.code} {_SIGNS[kind]} {b.code})", low, high)
 

@@ -25,17 +25,6 @@ STUDENT = POLICIES / "student" / "seed0"
 AGAIN = "import sys, pathlib; from recording_calls import differing; print(*differing(pathlib.Path(sys.argv[1])))"
 
 
-def step_environments() -> None:
-    """Step an arm and a batch, with what they can be made with."""
-    for model, ranges in product(("lumped", "lagrangian"), ("off", "train")):
-        settings: dict[str, Any] = {"model": model, "randomization": ranges}
-        for sensors in SENSORS:
-            play(BeltArmEnv(sensors=sensors, **settings), 0.3, STEPS)
-            play(BeltArmVectorEnv(3, sensors=sensors, max_episode_steps=3, **settings), -0.5, STEPS)
-        for env in (BeltArmEnv(moves=2, **settings), BeltArmVectorEnv(3, moves=2, **settings)):
-            play(env, 0.0, EPISODE_STEPS + 1)  # into the second move
-
-
 def play(env: Any, action: float, steps: int) -> None:
     """Push back and forth, so that motors stick, slip and turn round."""
     env.reset(seed=1)
@@ -46,7 +35,13 @@ def play(env: Any, action: float, steps: int) -> None:
 @pytest.mark.skipif(PLAIN, reason="kernels run in plain Python")
 def test_all_kernels_run_as_c_and_give_the_bits_of_plain_python(tmp_path: Path):
     with recorded_calls() as calls:
-        step_environments()
+        for model, ranges in product(("lumped", "lagrangian"), ("off", "train")):
+            settings: dict[str, Any] = {"model": model, "randomization": ranges}
+            for sensors in SENSORS:
+                play(BeltArmEnv(sensors=sensors, **settings), 0.3, STEPS)
+                play(BeltArmVectorEnv(3, sensors=sensors, max_episode_steps=3, **settings), -0.5, STEPS)
+            for env in (BeltArmEnv(moves=2, **settings), BeltArmVectorEnv(3, moves=2, **settings)):
+                play(env, 0.0, EPISODE_STEPS + 1)  # into the second move
         classical = [make() for make in CONTROLLERS.values()]
         for controller in (*classical, behind_guard(CONTROLLERS["adaptive"]()), load_controller(STUDENT)):
             torques_of(controller, 5, 3, STEPS, randomization="train")

@@ -59,9 +59,6 @@ def mean(values: Any) -> float:
     return total / len(values)
 
 
-# Indices and slices
-
-
 @case((row(8), -1), (row(8), 3), (row(8), -8))
 def elements(a: Any, k: int) -> float:
     a[0], a[1] = a[1], a[0]
@@ -197,7 +194,18 @@ def loop_variables(n: int) -> tuple[int, ...]:
     return *after, total
 
 
-# Whole arrays, and memory that has two names
+@case((row(), 4), (row(), 1))
+def views_by_what_a_loop_counts(a: Any, n: int) -> tuple[int, ...]:
+    total = 0
+    for i in range(n):
+        if i == 1:
+            some = a[:i]
+        if i >= 1:
+            total += len(some)  # pyright: ignore[reportPossiblyUnboundVariable]
+        every = a[: i + 1]
+    for i in range(n):  # noqa: B007
+        total += len(every)  # pyright: ignore[reportPossiblyUnboundVariable]
+    return total, len(every)  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
 @case((row(8),))
@@ -317,17 +325,20 @@ def names_from_turn_to_turn(a: Any, x: float, y: float) -> tuple[Any, ...]:
     return total, best  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
-# Calls and tuples
-
-
 def bumped(a: Any) -> float:
     a[0] += 1.0
     return a[0]
 
 
+def grown(a: Any) -> Any:
+    a[0] += 1.0
+    return a.copy()
+
+
 @case((row(),))
 def read_before_calls(a: Any) -> tuple[float, ...]:
-    first = a[0] + bumped(a)
+    first = a[0] + bumped(a) + (a[0] + grown(a)[0])
+    a[0] += grown(a)[0] + Inner(a[0], 1)._replace(row=a[0], times=int(bumped(a))).row
     a[0] += bumped(a)
     both = (a[0], bumped(a), a[0])
     return first, *both, a[0] * 2.0 - bumped(a) * a[0], max(a[0], bumped(a)), 1.0 if a[0] < bumped(a) else 2.0

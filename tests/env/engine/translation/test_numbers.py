@@ -27,9 +27,6 @@ CASES = Cases()
 case = CASES.case
 
 
-# Numbers
-
-
 @case(*WHOLES)
 def whole_numbers(a: int, b: int) -> tuple[Any, ...]:
     divided = a / b, (a + 1) / b, 1 / b, a / 2 * b, 3 // b, a // 2, a % 3, 7 % b
@@ -76,7 +73,8 @@ def promoted(values: Any, b: float) -> tuple[Any, ...]:
     a = values[0]
     step, wide, root = np.float32(0.1), np.float64(a), np.sqrt(abs(a))
     known = np.float64(step) * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, np.float64(step) / 3
-    functions = root, root * root, root * a, abs(a), -a, min(a, np.float32(b)), max(wide, b), np.floor(a * a), wide > b
+    roots = root, root * root, math.sqrt(abs(a)), math.fabs(a) * math.fabs(a)
+    functions = *roots, abs(a), -a, min(a, np.float32(b)), max(wide, b), np.floor(a * a), wide > b
     both = wide + b, wide * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(wide * b) - a, wide * 3
     return *known, *functions, *both
 
@@ -86,7 +84,7 @@ def single_precision(values: Any, b: float) -> tuple[Any, ...]:
     a = values[0]
     step, root = np.float32(0.1), np.sqrt(abs(a))
     known = step * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, step / 3
-    roots = root, root * root, math.sqrt(abs(a)) * a
+    roots = root, root * root, math.sqrt(abs(a)), math.fabs(a) * math.fabs(a)
     functions = *roots, abs(a), -a, min(a, np.float32(b)), max(a, b), np.floor(a * a), a > b
     both = a + b, a * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(a * b) - a, a * 3
     return *known, *functions, *both
@@ -98,9 +96,6 @@ def choices(k: int, x: float) -> tuple[Any, ...]:
     found = 0 if k and (x or k) else 1
     numbers = found, int(up) + up, up * x, up + 1, up - k, max(up, k), k & 1, k | 4, bool(k), int(up), float(up)
     return *numbers, many, not many, (k == 3) | (x == 0.0), (k == 3) & (x > 0.0), 1.0 if many else x, k if x else -k
-
-
-# Types of numbers
 
 
 @case((np.array([1, -2, 3]), np.array([True, False, True]), 2.7))
@@ -131,7 +126,8 @@ def unsigned_numbers(a: Any, n: int) -> tuple[Any, ...]:
     a[2] ^= a[1] >> np.uint64(n)
     a[1] = (a[1] * np.uint64(5) + a[0]) & np.uint64(0xFFFF)
     a[0] -= np.uint64(n) << np.uint64(3)
-    return a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
+    far = float(a[0] >> np.uint64(n + 57)), float(a[0] << np.uint64(n + 57)), int(abs(a[0]) >> np.uint64(1))
+    return *far, a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
 
 
 @case(*itertools.product(FAR, (1, 2, -1, 3)))
@@ -154,9 +150,6 @@ def shared_words(words: Any) -> tuple[int, ...]:
     before = add(words, 0, 3), add(words, 0, 4), add(words, 1, -2)
     add(words, 1, 10)
     return *before, look(words, 0), look(words, 1)
-
-
-# Branches and loops
 
 
 @case(*[(c, x) for c in (-1.0, 1.0) for x in (-1.0, 0.0, 0.5, 2.0, 3.0)])
@@ -221,9 +214,6 @@ def calls_where_asked(x: float) -> tuple[Any, ...]:
         turns += 2
         if turns > x:
             return x, turns, either, both, chosen, between
-
-
-# Tuples and calls
 
 
 class Pair(NamedTuple):

@@ -25,6 +25,10 @@ class Pair(NamedTuple):
     low: float
     high: float
 
+class Sum(Pair):
+    def __add__(self, other):
+        return Pair(self[0] + other[0], self[1] + other[1])
+
 def doubles(x):
     if x > 0.0:
         return np.zeros(2)
@@ -46,6 +50,10 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     # words of the message; arguments a, b, c; lines of the kernel, `#` marking the one that is named
     (("a dict", "known['x']"), (1.0,), "known = {'x': a}; return known['x'] #"),
     (("keys of a dict", "{'x': a, 'x': 2.0}"), (1.0,), "return {'x': a, 'x': 2.0} #"),
+    (("no type in common",), (1.0,), "if a > 0.0:;     return {'x': a}; return {'y': a}"),
+    (("a choice between a Pair and a tuple",), (1.0,), "return (Pair(a, a) if a > 0.0 else (a, a))[0] #"),
+    (("Sum has __add__ of its own",), (1.0,), "return (Sum(a, a) + Sum(a, a))[0] #"),
+    (("must be written into an array before",), (ROW,), "both = (2.0 * a, 1.0) #; return both[1]"),
     (("a list comprehension", "[a * k for k in range(3)]"), (1.0,), "return sum([a * k for k in range(3)]) #"),
     (("a list comprehension", "(in comprehension, "), (1.0,), "return comprehension(a)"),
     (("a list is not",), (1.0,), "return [a, a][1] #"),
