@@ -14,5 +14,6 @@ MAX_LATENCY = LATENCY_SAMPLES * CONTROL_PERIOD
 SHORTEST_LAG = 1e-7
 """Time constant of the current loop [s] from which on it counts; a shorter one is taken for none.
 
-That moves the arm's end by 0.05 um at most. Within such a lag the instant at which a motor breaks away is not found.
+That moves the arm's end by what it travels in that time, 0.4 um at most. Within such a lag the instant at which a motor
+breaks away is not found.
 """

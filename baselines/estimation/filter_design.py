@@ -28,7 +28,7 @@ a part that is there as an episode begins the mass of the design model is believ
 development set's `shift`, and 13 % dearer on its `randomized`."""
 _ARM_DOUBT = 0.55  # of ln S without a part, over `Uncertainty.swing`, with which it was tuned
 _FRICTION = z_at.LOGS.start + z_at.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
-_PART_DOUBT = 0.75  # [kg] of a part's mass, likewise: 0.225 kg
+_PART_DOUBT = 0.75  # [kg] of a part's mass, likewise: 0.225 kg; 0.16 kg costs the same
 
 
 @dataclass(frozen=True, slots=True)

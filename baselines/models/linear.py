@@ -28,8 +28,10 @@ from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.linear import write_sampled_models
 from beltarm_env.physics.models import LUMPED, Model
+from beltarm_env.physics.substeps import REMEDIES, fastest_rate
 from beltarm_env.physics.trigonometry import exponential, sine_cosine
 
+_MOST = 0.5  # rate times period: there the series' next term is 0.5^10 / 10! = 3e-10
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
 """Joint angles of the tables [rad], every two degrees; outside, tables are constant."""
 
@@ -63,7 +65,17 @@ def write_linear_arm(row: Any, model: Model, arm: LinearArm) -> None:
 
 
 def linear_arm_of(row: Floats, model: Model = LUMPED) -> LinearArm:
-    """Linear models of an arm with a row of constants, as the fields of `ArmParams`, by equations of motion."""
+    """Linear models of an arm with a row of constants, as the fields of `ArmParams`, by equations of motion.
+
+    Raises:
+        ValueError: If the arm is too stiff for the series that they are computed by.
+    """
+    rate = fastest_rate(plant_of(row), model)
+    if not rate * CONTROL_PERIOD < _MOST:
+        raise ValueError(
+            f"the arm's fastest rate is {rate:.3g} rad/s: a linear model of a sample is for less than "
+            f"{_MOST / CONTROL_PERIOD:.0f}: {REMEDIES[0]}"
+        )
     arm = empty_linear_arm()
     write_linear_arm(row, model, arm)
     return arm

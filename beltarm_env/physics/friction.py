@@ -19,7 +19,8 @@ takes part in its motion, dz/dt = omega_a (one Maxwell slip element, Prandtl's m
     sliding     as above; where the speed reaches 0, z is where it had broken away
 
 The spring never gives more than it stored: sliding leaves it as it was, but for the variation of friction, and
-dissipates more than that varies as long as 2 r delta (1 + s)^2 < 1, delta = `presliding_deflection`.
+dissipates more than that varies as long as 2 r delta (1 + s)^2 (1 + |d|) < 1, with delta = `presliding_deflection` and
+d = `friction_drift`, for the spring's stiffness is that of the friction as the move begins.
 
 Within a mode the arm is smooth.
 """

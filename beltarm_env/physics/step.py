@@ -37,6 +37,7 @@ from beltarm_env.timing import CONTROL_PERIOD
 _SLOW = 3.0  # [rad/s] at the motor: friction that falls with speed and ripple multiply errors here
 _SLOW_STEP = 0.5 * CONTROL_PERIOD
 _TURN_OF_RIPPLE, _TURN = 3.3, 0.5  # largest turn of ripple, and of the motor, in a step [rad]
+TURN_GAINED = 0.8  # largest part of the ripple's turn in a sample that a change of the speed may make [rad]
 ROUNDING = 1e-9
 """Of a step: what is left by less is taken with it."""
 FRICTION_STEPS = 8
@@ -240,7 +241,8 @@ def needed_rate(
 ) -> float:
     """Return the steps per second that a real drive's effects have to be resolved with [1/s].
 
-    At most 3.3 rad of ripple and half a radian of the motor per step; where friction depends on the speed, a share
+    At most 3.3 rad of ripple and half a radian of the motor per step; a step for each 0.8 rad by which a change of the
+    speed turns the ripple on in a sample; where friction depends on the speed, a share
     1 / (8 s + 1/2) of omega_a + omega_s; below 3 rad/s, half a sample; 0.2 rad of the vibration of a motor
     that sticks and gives.
 
@@ -260,7 +262,9 @@ def needed_rate(
     pull = torque + drive.ripple * at.sin_ripple - plant.stiffness * x.torsion * plant.inverse_gear
     push = abs(pull - direction * level) + change
     by_turning = (1 / _TURN) * speed
-    by_ripple = (1 / _TURN_OF_RIPPLE) * drive.ripple_order * speed if drive.ripple > 0.0 else 0.0
+    gained = (CONTROL_PERIOD / TURN_GAINED * _TURN_OF_RIPPLE) * push * plant.inverse_motor_inertia
+    quickest = speed if speed > gained else gained
+    by_ripple = (1 / _TURN_OF_RIPPLE) * drive.ripple_order * quickest if drive.ripple > 0.0 else 0.0
     u = drive.inverse_stribeck_speed
     share = FRICTION_STEPS * drive.static_excess + 0.5 if drive.static_excess > 0.0 else 0.0
     by_friction = share * push * plant.inverse_motor_inertia * u / (1 + speed * u)

@@ -18,7 +18,7 @@ from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import SMALLEST_DEFLECTION, drive_of
 from beltarm_env.physics.models import Model, inverse_inertia, torsional_mobility
-from beltarm_env.physics.step import FRICTION_STEPS, SPRING_TURN
+from beltarm_env.physics.step import FRICTION_STEPS, SPRING_TURN, TURN_GAINED
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
@@ -54,27 +54,31 @@ def integration_limits(row: Any, model: Model) -> tuple[float, float, float, flo
     """Return how close an arm comes to what can be integrated, over what is allowed, from its row.
 
     Its fastest rate, the share of joint 1's speed that the kinematic error takes away, the integration steps for
-    friction that falls with speed and for a motor that gives before it slips, and the share of its spring's energy that
-    the variation of friction may give it: at most 1 each.
+    friction that falls with speed or for ripple, and for a motor that gives before it slips, and the share of its
+    spring's energy that the variation of friction may give it: at most 1 each.
     """
     rate = fastest_rate(plant_of(row), model, row[COLUMN.belt_stiffening])
     slack = 2.2 * row[COLUMN.kinematic_error] * row[COLUMN.gear_ratio]
     excess = row[COLUMN.static_friction_excess]
     level = row[COLUMN.coulomb_friction] * (1 + row[COLUMN.friction_variation]) * (1 + excess)
     push = 2 * row[COLUMN.torque_limit] * (1 + row[COLUMN.torque_constant_error]) + level + row[COLUMN.torque_ripple]
-    steps = FRICTION_STEPS * CONTROL_PERIOD * push / (row[COLUMN.motor_inertia] * row[COLUMN.stribeck_speed])
-    falling = steps / MAX_FRICTION_STEPS if excess > 0.0 else 0.0
-    giving = drive_of(row).spring_rate * CONTROL_PERIOD / SPRING_TURN / MAX_FRICTION_STEPS
+    quickness = CONTROL_PERIOD * push / row[COLUMN.motor_inertia]  # change of the speed in a sample [rad/s]
+    by_friction = FRICTION_STEPS * quickness / row[COLUMN.stribeck_speed] if excess > 0.0 else 0.0
+    by_ripple = row[COLUMN.torque_ripple_order] * quickness * CONTROL_PERIOD / TURN_GAINED
+    by_ripple = by_ripple if row[COLUMN.torque_ripple] > 0.0 else 0.0
+    most = MAX_FRICTION_STEPS / integration_substeps(plant_of(row), model)  # which each of these is divided into
+    giving = drive_of(row).spring_rate * CONTROL_PERIOD / SPRING_TURN / most
     given = 2 * row[COLUMN.friction_variation] * row[COLUMN.presliding_deflection] * (1 + excess) * (1 + excess)
-    return rate / _MAX_RATE, slack, falling, giving, given
+    given *= 1 + abs(row[COLUMN.friction_drift])  # of which a move's friction is at most so much more than its spring's
+    return rate / _MAX_RATE, slack, max(by_friction, by_ripple) / most, giving, given
 
 
 REMEDIES = (
     "lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia",
     "lower kinematic_error or gear_ratio",
-    "raise stribeck_speed or motor_inertia, or lower torque_limit or coulomb_friction",
+    "raise stribeck_speed or motor_inertia, or lower torque_limit, coulomb_friction or torque_ripple_order",
     "raise presliding_deflection or motor_inertia, or lower coulomb_friction",
-    "lower presliding_deflection, friction_variation or static_friction_excess",
+    "lower presliding_deflection, friction_variation, static_friction_excess or friction_drift",
 )
 """What brings each of `integration_limits` down."""
 
@@ -84,8 +88,8 @@ def check_integrable(table: Floats, model: Model) -> None:
 
     Raises:
         ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`, a kinematic error would nearly
-            turn joint 1 backward, friction falls too quickly with speed, or a motor that gives before it slips is too
-            stiff, or would gain energy.
+            turn joint 1 backward, friction falls too quickly with speed, ripple turns too quickly, or a motor that
+            gives before it slips is too stiff, or would gain energy.
     """
     for row in table:
         rate, slack, steps, giving, given = integration_limits(row, model)
@@ -97,9 +101,10 @@ def check_integrable(table: Floats, model: Model) -> None:
             )
         if steps > 1:
             raise ValueError(
-                f"friction that falls with speed would take {steps * MAX_FRICTION_STEPS:.3g} integration steps per "
-                f"{CONTROL_PERIOD} s, of {MAX_FRICTION_STEPS} allowed, for stribeck_speed "
-                f"{row[COLUMN.stribeck_speed]:.3g} rad/s: {REMEDIES[2]}"
+                f"friction that falls with speed, or ripple, would take {steps * MAX_FRICTION_STEPS:.3g} integration "
+                f"steps per {CONTROL_PERIOD} s, of {MAX_FRICTION_STEPS} allowed, for stribeck_speed "
+                f"{row[COLUMN.stribeck_speed]:.3g} rad/s and torque_limit {row[COLUMN.torque_limit]:.3g} N m: "
+                f"{REMEDIES[2]}"
             )
         if giving > 1:
             raise ValueError(
@@ -128,7 +133,7 @@ def check_ranges_integrable(bounds: Floats, model: Model) -> None:
 _FASTER_UP = (
     *(COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction, COLUMN.belt_stiffening),
     *(COLUMN.kinematic_error, COLUMN.static_friction_excess, COLUMN.coulomb_friction, COLUMN.friction_variation),
-    *(COLUMN.torque_limit, COLUMN.torque_constant_error, COLUMN.torque_ripple),
+    *(COLUMN.torque_limit, COLUMN.torque_constant_error, COLUMN.torque_ripple, COLUMN.torque_ripple_order),
 )  # whose upper ends are the harder to integrate
 
 
@@ -142,6 +147,7 @@ def fastest_arms(bounds: Floats) -> Floats:
     """
     fastest = bounds[0].copy()
     fastest[[*_FASTER_UP]] = bounds[1, _FASTER_UP]
+    fastest[COLUMN.friction_drift] = np.abs(bounds[:, COLUMN.friction_drift]).max()
     inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
     swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))

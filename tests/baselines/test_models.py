@@ -61,6 +61,7 @@ def test_what_does_not_fit_is_refused():
         (("136 arms", "137"), lambda: simulation.set_table(params_table([ArmParams()] * 137))),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: ArmSimulation(ArmParams(), model="mujoco")),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: AdaptiveController(model="mujoco")),
+        (("fastest rate is 1.84e+03", "less than 333"), lambda: linear_arm(ArmParams(belt_stiffness=3.3e4))),
     ):
         refused(ValueError, words, call)
 

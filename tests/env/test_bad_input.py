@@ -100,11 +100,15 @@ def test_parameters_that_make_no_arm():
     refused(ValueError, ("belt_stiffness", "finite"), lambda: ArmParams(belt_stiffness=-(10**5000)))
 
 
+GAINS_ENERGY = {"static_friction_excess": 1.2, "friction_variation": 0.9, "presliding_deflection": 0.1}
 FAST_STRIBECK = {"static_friction_excess": 1.0, "stribeck_speed": 0.1, "motor_inertia": 1e-6}
 DRIVES = [
     ({"kinematic_error": 0.0055}, ("kinematic_error", "0.0055", "0.00517")),
     (FAST_STRIBECK, ("stribeck_speed", "0.1", "5000", "raise")),
     ({"belt_stiffening": 0.9, "belt_stiffness": 1.5e8}, ("fastest rate", "belt_stiffness")),
+    ({"motor_viscous_friction": 1.5, "presliding_deflection": 1e-6}, ("gives by presliding_deflection 1e-06", "raise")),
+    ({"torque_ripple": 0.1, "torque_limit": 1e6}, ("ripple", "torque_limit 1e+06", "lower")),
+    ({**GAINS_ENERGY, "friction_drift": -0.2}, ("1.05 times the energy", "lower presliding_deflection")),
 ]
 
 
