@@ -91,7 +91,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     ## Rewards
 
     Minus the cost `min(|e_p| / 10 mm, 10) + min(|e_v| / 200 mm/s, 10) + 0.1 |Δτ| / limit` with the 2-D tip position
-    and velocity errors. Leaving the workspace is charged the bound of the cost for every step that is left.
+    and velocity errors. Leaving the workspace is charged the bound of the cost for every step that is left of all
+    moves, also where `max_episode_steps` is less.
 
     ## Starting State
 

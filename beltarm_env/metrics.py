@@ -83,12 +83,12 @@ def episode_metrics(
     Args:
         tip_error: Tip minus reference tip, radial (x) and lateral (y) [m], shape (T, n, 2).
         tip_velocity_error: The same for the velocity [m/s], shape (T, n, 2).
-        torque: Motor torque [N m], shape (T, n).
+        torque: Commanded torque [N m], shape (T, n).
         torque_limit: [N m], shape (n,).
         move_duration: [s], shape (n,).
         cost: Cost of the whole episode, shape (n,).
         finished: False where the arm left the workspace, which counts as a failure; shape (n,).
-        torque_before: Motor torque before the first step [N m], shape (n,).
+        torque_before: Commanded torque before the first step [N m], shape (n,).
 
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);

@@ -30,7 +30,7 @@ _PER_SAMPLE = ("state", "torque", "tip_error", "tip_velocity_error")
 _MOST_DRAWN = 10  # moves in a picture: as many as Matplotlib has colours
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Recording:
     """n moves of T steps; row k is the sample after step k + 1. SI units.
 

@@ -29,6 +29,7 @@ __all__ = [
     "Recording",
     "check_data_sheet",
     "check_profile",
+    "check_sensors",
     "nominal_params",
     "nominal_profile",
     "record",
@@ -94,7 +95,7 @@ def check_profile(controller: object, profile: str | None) -> None:
         )
 
 
-def _check_sensors(controller: object, given: str) -> None:
+def check_sensors(controller: object, given: str) -> None:
     """Check that a controller that says what it reads beside the encoder gets that, or raise ValueError."""
     own = getattr(controller, "sensors", None)
     if isinstance(own, str) and own in ENTRIES and own not in ("encoder", given):
@@ -196,7 +197,7 @@ def record(
     if env.autoreset_mode is AutoresetMode.SAME_STEP:
         raise ValueError("a rollout would record the next episodes of arms: make it with autoreset_mode='Disabled'")
     check_profile(controller, env.profile)
-    _check_sensors(controller, env.sensors)
+    check_sensors(controller, env.sensors)
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     check_data_sheet(nominal_params(controller), env.params_table, type(controller).__name__)
     made = _Made.empty(num_moves, num_arms)

@@ -282,6 +282,8 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         """Return the streams of all arms, with those of some seeded, and the seeds that they began with."""
         if seed is None or isinstance(seed, int | np.integer):
             given = [None if seed is None else checked_seed(seed) + arm for arm in range(self.num_envs)]
+        elif isinstance(seed, set | frozenset | dict):
+            raise TypeError(f"seeds must have an order, got {seed!r}")
         else:
             given = list(seed)
             if len(given) != self.num_envs:

@@ -16,7 +16,7 @@ from agents.residual.knowledge import InformedBase, InformedMemory, residual_obs
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Singles
-from beltarm_env.rollout import Controller, check_data_sheet, check_profile
+from beltarm_env.rollout import Controller, check_data_sheet, check_profile, check_sensors
 
 
 class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
@@ -28,6 +28,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
             raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
         self._arm = env.unwrapped
         check_profile(base, self._arm.profile)
+        check_sensors(base, self._arm.sensors)
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -92,6 +93,7 @@ class ResidualVecEnv(VecEnv):
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
         check_profile(base, env.profile)
+        check_sensors(base, env.sensors)
         self.env = env
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings

@@ -120,6 +120,8 @@ def resolve_ranges(randomization: Randomization, moves: int = 1) -> dict[str, tu
         if name not in FIELDS:
             raise ValueError(f"randomization names an unknown parameter {name!r}; known: {', '.join(FIELDS)}")
         try:
+            if isinstance(pair, set | frozenset | Mapping):
+                raise TypeError  # which have no order
             low, high = pair
         except (TypeError, ValueError):
             raise TypeError(f"randomization[{name!r}] must be a pair (low, high), got {pair!r}") from None

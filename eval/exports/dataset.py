@@ -32,7 +32,7 @@ from beltarm_env import BeltArmVectorEnv, __version__
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.observation import LAYOUT, Sensors
-from beltarm_env.rollout import Controller, check_data_sheet, check_profile, nominal_params, rollout
+from beltarm_env.rollout import Controller, check_data_sheet, check_profile, check_sensors, nominal_params, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import EDITION
 from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_SEED, dataset_arms
@@ -273,8 +273,7 @@ def run_episodes(
     seen, _ = env.reset(seed=seeds)
     check_data_sheet(nominal_params(controller), env.params_table, name)
     check_profile(controller, env.profile)
-    if (own := getattr(controller, "sensors", None)) in ("full", "accelerometer") and own != env.sensors:
-        raise ValueError(f"{name} reads sensors={own!r}, got {env.sensors!r}: give --sensors {own}")
+    check_sensors(controller, env.sensors)
     params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
     samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []
     for k in range(len(noise)):

@@ -120,7 +120,8 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         ValueError: If there is no such controller, no program does what it does, or the policy is missing or damaged.
     """
     if _is_classical(source):
-        name, residual, base = _name_of(source), 0.0, _classical(source)
+        name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", source.rpartition(":")[2]).lower()  # `MyServo` becomes `my_servo`
+        residual, base = 0.0, _classical(source)
         title = f"Controller {name!r} of beltarm" if source in CONTROLLERS else f"Controller {name!r}"
         kernel, identifies = _kernel(base, source, plan_samples), isinstance(base, AdaptiveController)
         params = base.params
@@ -159,11 +160,6 @@ def _is_classical(source: str) -> bool:
 
 def _classical(source: str) -> Any:
     return CONTROLLERS[source]() if source in CONTROLLERS else custom.make(source)
-
-
-def _name_of(source: str) -> str:
-    """Name for functions of C: `MyServo` becomes `my_servo`."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", source.rpartition(":")[2]).lower()
 
 
 def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:

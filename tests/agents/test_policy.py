@@ -87,8 +87,6 @@ def test_shipped_policies_drive_an_arm_the_same_way_alone_and_in_batches(folder:
     assert_same_in_batches(lambda: load_controller(folder), VALIDATION.first, **settings)
 
 
-# As ONNX models
-
 MORE = {
     "standardised": ActorShape(7, (5,), "tanh", standardised=True),
     "squashed lstm": ActorShape(6, (8, 8), "elu", squashed=True, lstm=9),

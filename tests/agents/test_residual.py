@@ -23,6 +23,7 @@ from agents.residual.knowledge import ENTRIES, InformedBase, residual_observatio
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
+from baselines.registry import WITH_ACCELEROMETER
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arrays import Singles
 from beltarm_env.observation import index, size
@@ -76,6 +77,7 @@ def test_what_does_not_fit_is_refused():
     paper, batch, single = CONTROLLERS["paper"], many(3), single_env()
     other = ResidualController(CONTROLLERS["ei"](params=ArmParams(gear_ratio=100.0)), Silent(), SETTINGS)
     weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
+    felt: Any = WITH_ACCELEROMETER["preview"]()
     refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
     single.reset(seed=0)
     batch.reset()
@@ -92,6 +94,8 @@ def test_what_does_not_fit_is_refused():
         (("'scurve'", "'trapezoid'"), lambda: rollout(other, 2, profile="scurve")),
         (("'scurve'",), lambda: ResidualVecEnv(batch.env, CONTROLLERS["zv"](), SETTINGS)),
         (("'scurve'",), lambda: ResidualEnv(single.env, CONTROLLERS["zv"](), SETTINGS)),
+        (("'accelerometer'", "'encoder'"), lambda: ResidualVecEnv(weak, felt, SETTINGS)),
+        (("'accelerometer'", "'encoder'"), lambda: ResidualEnv(BeltArmEnv(), felt, SETTINGS)),
         (("torque_limit 0.2", "0.3"), lambda: ResidualVecEnv(weak, paper(), SETTINGS).reset()),
     ]
     for words, call in calls:

@@ -140,9 +140,6 @@ def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, 
         refused(ValueError, ("--scenario",), lambda seed=seed, name=name: choose_set(name, seed))
 
 
-# The frozen test set
-
-
 MADE_UP = "00c0ffee" + "0" * 32
 
 

@@ -173,9 +173,6 @@ def test_missing_packages_are_named(
     assert not (tmp_path / "out").exists()
 
 
-# Loading what others offer
-
-
 def example(*arguments: str, folder: Path) -> tuple[int, str]:
     return stopped(lambda: runpy.run_path(str(EXAMPLE), run_name="__main__"), arguments, folder)
 

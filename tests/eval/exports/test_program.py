@@ -122,9 +122,6 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
     assert {"-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"} <= set(FLAGS)
 
 
-# The command
-
-
 def write(*arguments: str, cwd: Path) -> dict[str, Any]:
     assert stopped(export.main, ("c", *arguments, "--out", "made"), cwd) == (0, "")
     return json.loads((cwd / "made" / MANIFEST).read_text())
