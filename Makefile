@@ -1,5 +1,5 @@
-# Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed: `make compare` with
-# what it needs alone, the others with all packages, beside those.
+# Every target sets up .venv by itself, and only when pyproject.toml, constraints.txt or the version have changed: `make
+# compare` with what it needs alone, the others with all packages, beside those.
 # Each Python has an environment of its own: `make test PYTHON=python3.13` sets up .venv-3.13.
 # make reads options before this file, so options of a command are given in ARGS.
 
@@ -47,7 +47,7 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 
 setup: $(READY)  ## Create .venv with pinned versions, and compile kernels; HASHES=1 checks the SHA-256 of packages too
 
-$(READY_COMPARE): pyproject.toml $(CONSTRAINTS)
+$(READY_COMPARE): pyproject.toml $(CONSTRAINTS) $(wildcard beltarm_env/__init__.py)
 	$(NEEDS_PYTHON)@echo "Setting up $(VENV): a minute or two"
 	$(PYTHON) -m venv $(VENV)
 	$(if $(HASHES),$(PIP) --no-deps --require-hashes --requirement hashes.txt)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from beltarm_env.task.ranges import IDEAL_RANGES, SHIFT_RANGES, TRAIN_RANGES, design_model
     from beltarm_env.vector_env import BeltArmVectorEnv
 
-__version__ = "1.0.0"
+__version__ = "1.1.0.dev0"
 __all__ = [
     "CONTROL_PERIOD",
     "EPISODE_STEPS",

@@ -102,10 +102,6 @@ def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
     return f"within {difference.max():.1g} of the limit, not bit for bit"
 
 
-def _repeats(make: Callable[[], Controller], known: Session) -> str:
-    return _same(replayed(make(), known.observations, known.starts), known.actions)
-
-
 def _alone(make: Callable[[], Controller], known: Session) -> str:
     arms = [slice(k, k + 1) for k in range(_ARMS)]
     alone = [replayed(make(), known.observations[:, arm], known.starts[:, arm]) for arm in arms]
@@ -144,7 +140,9 @@ def _in_time(make: Callable[[], Controller], _: Session) -> str:
 
 
 _CHECKS = {
-    "the same observations give the same torques": _repeats,
+    "the same observations give the same torques": lambda make, known: _same(
+        replayed(make(), known.observations, known.starts), known.actions
+    ),
     "an arm of a batch is driven as if alone": _alone,
     "an episode begins without memory of the last": _afresh,
     "all memory is in the state that is returned": _in_the_state,

@@ -132,7 +132,7 @@ def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jo
         OSError: If a process died.
         Exception: Whatever a call raises.
     """
-    tasks = {name: partial(_called, call) for name, call in calls.items()}
+    tasks = {name: lambda _, call=call: call() for name, call in calls.items()}
     results: dict[str, Result] = {}
     with (
         progress_count(title, Console(stderr=True)) as show,
@@ -144,7 +144,3 @@ def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jo
             results[name] = outcome
             show(len(results), len(tasks))
     return {name: results[name] for name in calls}
-
-
-def _called(call: Callable[[], Result], _: parallel.Channel) -> Result:
-    return call()

@@ -4,7 +4,7 @@ Each effect is varied alone, then all together, from none to twice the upper end
 arms with the same moves.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -159,18 +159,15 @@ def pictures(data: dict[str, Any]) -> Pictures:
     return {file: lambda metric=metric: _draw(data, metric) for file, metric in metrics.items()}
 
 
-def _styles(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """Colour, line and marker of each controller: those of one family have one colour."""
-    known = {name: (colour, *line) for colour, family in _FAMILIES for name, line in zip(family, _LINES, strict=False)}
-    return {name: known.get(name, ("0.5", "-", "o")) for name in names}
-
-
 def _draw(data: dict[str, Any], metric: str) -> Figure:
+    """Draw a metric over the size of each effect; controllers of one family have one colour."""
     levels, sizes = _Levels(data), data["sizes"]
+    known = {name: (colour, *line) for colour, family in _FAMILIES for name, line in zip(family, _LINES, strict=False)}
     figure, axes = panels(len(levels.effects), _COLUMNS, (3.7, 3.05), sharey=True)
     for axis, (name, effect) in zip(axes, levels.effects.items(), strict=True):
         axis.axvspan(_UPPER_END, 1.03 * sizes[-1], color="#F0F0F0", zorder=0, linewidth=0)
-        for controller, (colour, line, marker) in _styles(levels.controllers).items():
+        for controller in levels.controllers:
+            colour, line, marker = known.get(controller, ("0.5", "-", "o"))
             values = levels.rows[controller, name][metric]
             axis.plot(sizes, values, line, color=colour, marker=marker, markersize=4, lw=1.6, label=controller)
         axis.set_title(effect["title"], fontsize=11)

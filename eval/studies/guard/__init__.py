@@ -62,11 +62,18 @@ def measure(options: Options) -> dict[str, Any]:
     """Outcomes of every controller under every fault, and its costs on the splits."""
     scenarios = development_set()
     controllers = chosen("controller", options.controllers, CONTROLLERS)
-    bases = {name: base_of(name) for name in controllers}
+    bases = {method.name: method.base or method.name for method in shipped_methods(controllers)}
     faults = chosen("fault", options.faults, FAULTS)
     splits = chosen("split", options.splits, scenarios.splits)
     pairs = [(name, fault) for name in controllers for fault in faults if fault != NAN or bases[name] != name]
-    kinds = {(name, fault): _kinds(name, bases[name], fault, options.arms) for name, fault in pairs}
+    kinds = {
+        (name, fault): {
+            "base": (bases[name], fault, False, options.arms),
+            "without": (name, fault, False, options.arms),
+            "guarded": (name, fault, True, options.arms),
+        }
+        for name, fault in pairs
+    }
     cases = list(dict.fromkeys(case for of_pair in kinds.values() for case in of_pair.values()))
     outcomes = side_by_side("faults", outcome, cases, options.jobs)
     places = [(name, split, options.episodes) for name in controllers for split in splits]
@@ -85,21 +92,6 @@ def measure(options: Options) -> dict[str, Any]:
         ],
         "healthy": [{"controller": name, "split": split, **result} for (name, split, _), result in healthy.items()],
     }
-
-
-def _kinds(name: str, base: str, fault: str, arms: int) -> dict[str, tuple[str, str, bool, int]]:
-    """Arguments of `outcome` for a controller's base alone, and for itself without and with the guard."""
-    return {
-        "base": (base, fault, False, arms),
-        "without": (name, fault, False, arms),
-        "guarded": (name, fault, True, arms),
-    }
-
-
-def base_of(name: str) -> str:
-    """Name of the controller that a learned method corrects; of a classical controller its own."""
-    (method,) = shipped_methods((name,))
-    return method.base or name
 
 
 def with_guard(controller: Controller) -> Recorder[tuple[Flags, Floats]]:

@@ -52,7 +52,7 @@ class Options(StudyOptions):
     """Arms on which the last policy is scored."""
     bins: int = 20
     """Bins of presliding, of friction and of payload, in which shipped policies are compared with the base."""
-    bin_arms: int = 8
+    bin_arms: int = 20
     """Arms of a bin for each of a method's policies."""
     advice_arms: int = 192
     """Arms for each of the shipped students, on which the teacher's advice to them is predicted."""

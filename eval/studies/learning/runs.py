@@ -71,7 +71,7 @@ VARIANTS = (
     Variant("ppo-taught", "learner", "PPO after a teacher", ("--teacher-rounds", "6"), "ppo"),
     Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--teacher-rounds", "0", *_SHIFTS), "ppo", once=True),
     Variant("ppo-quiet", "learner", "PPO, on adaptive, little noise", ("--teacher-rounds", "0", *_QUIET), "ppo"),
-    Variant("recurrent", "learner", "recurrent PPO, likewise", (*_RECURRENT, *_QUIET), "recurrent_ppo"),
+    Variant("recurrent", "learner", "recurrent PPO, little noise", (*_RECURRENT, *_QUIET), "recurrent_ppo"),
     Variant("ppo", "learner", "PPO, on paper", ("--base", "paper", *_SHIFTS), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", _SHIFTS, "sac", once=True),
     Variant("single", "arms", "single moves", ("--moves", "1")),

@@ -243,7 +243,7 @@ def compare_engines(arms: int, seed: int, samples: int) -> list[dict[str, Any]]:
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Kinds of motion, and how the template writes orders and distances."""
-    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres, "nanometres": _nanometres}
+    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres}
 
 
 def _order(errors: list[float]) -> str:
@@ -254,10 +254,6 @@ def _order(errors: list[float]) -> str:
 def _millimetres(distance: float) -> str:
     value = 1e3 * distance
     return f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}"
-
-
-def _nanometres(distance: float) -> str:
-    return f"{1e9 * distance:.2g}"
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
