@@ -28,7 +28,7 @@ from beltarm_env.engine.translation.types import (
     joined,
     shown_type,
 )
-from beltarm_env.engine.translation.whole import span
+from beltarm_env.engine.translation.whole import may_wrap, span
 
 RESERVED = set(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
@@ -222,7 +222,7 @@ class Scope:
         low, high = span(value)
         if not self.often(name):
             return low, high
-        if low < 0 and name not in self.negative:
+        if (low < 0 or may_wrap(value)) and name not in self.negative:
             self.negative.add(name)
             self.changed = True
         return None if name in self.negative else (0, span(Scalar(kind, name))[1])

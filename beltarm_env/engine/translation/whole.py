@@ -37,6 +37,12 @@ def natural(number: Scalar) -> bool:
     return span(number)[0] >= 0
 
 
+def may_wrap(number: Scalar) -> bool:
+    """Tell whether a whole number is a product that may have wrapped; sums count as those that have not."""
+    low, high = span(number)
+    return low < 2 * LEAST or high > 2 * MOST + 1
+
+
 def fits(low: int, high: int, dtype: str) -> bool:
     """Tell whether numbers of a span are numbers of a type."""
     least, most = _SPANS[dtype]
@@ -68,11 +74,11 @@ def arithmetic(kind: type, a: Scalar, b: Scalar) -> Scalar:
         TranslationError: If there is no such operation.
     """
     low, high = _span_of(kind, span(a), span(b))
-    if kind in (ast.FloorDiv, ast.Mod) and not (natural(a) and span(b)[0] > 0):
+    if kind in (ast.FloorDiv, ast.Mod) and (not natural(a) or may_wrap(a) or span(b)[0] <= 0):
         name = "floor_div" if kind is ast.FloorDiv else "floor_mod"
         return whole(f"{name}({a.code}, {b.code})", max(low, LEAST), min(high, MOST))
     if not fits(low, high, INT):
-        return Scalar(INT, f"{_WRAPPING[kind]}({a.code}, {b.code})")  # anything: it wraps
+        return Scalar(INT, f"{_WRAPPING[kind]}({a.code}, {b.code})", (low, high))
     wide = not fits(low, high, SMALL) and INT not in (a.dtype, b.dtype)
     return whole(f"({'(int64_t)' if wide else ''}{a.code} {_SIGNS[kind]} {b.code})", low, high)
 
