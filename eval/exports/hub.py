@@ -95,18 +95,19 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     Raises:
         BundleError: If the policy is missing, damaged, or foreign.
         DependencyNotInstalled: If a package is not installed.
+        ValueError: If no package is installed that writes films.
     """
     from huggingface_hub import ModelCard
 
-    _, _, content, data = read_bundle(options.policy)
+    _, spec, content, data = read_bundle(options.policy)
     config: dict[str, Any] = {"format": FORMAT, "environment": ENVIRONMENT, "policy": POLICY_FILE}
     config |= {key: content[key] for key in ("sha256", "algorithm", "base", "sensors", "residual", "edition", "layout")}
     text = markdown(scores) if scores else ""
-    made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
+    model_card = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
     if scores:
-        made.data["model_name"], made.data["eval_results"] = model_name(content), eval_results(scores)
+        model_card.data["model_name"], model_card.data["eval_results"] = model_name(content), eval_results(scores)
     texts = {
-        CARD: str(made),
+        CARD: str(model_card),
         CONFIG: json.dumps(config, indent=2) + "\n",
         ".gitattributes": "".join(f"{pattern} filter=lfs diff=lfs merge=lfs -text\n" for pattern in _LARGE),
     }
@@ -116,25 +117,16 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
 
         files[MODEL] = onnx_model(options.policy).SerializeToString()
     if options.video:
-        files[FILM] = film_of(options.policy)
+        side_by_side.require_writer(Path(FILM))
+        split = development_set().splits["randomized"]  # the first single move of the development set
+        motion = rollout(load_controller(options.policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
+        track = side_by_side.Track(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
+        with tempfile.TemporaryDirectory() as made:
+            side_by_side.write([track], _SPEED, Path(made) / FILM)
+            files[FILM] = (Path(made) / FILM).read_bytes()
     return files
 
 
 def bibtex() -> str:
     """Write CITATION.cff as BibTeX: the software, and the paper whose robot it simulates."""
     return TEMPLATES.get_template("citation.bib.j2").render(CITATION, released=str(CITATION["date-released"]))
-
-
-def film_of(policy: Path) -> bytes:
-    """Film of the policy on the first single move of the development set, as MP4.
-
-    Raises:
-        ValueError: If no package is installed that writes it.
-    """
-    side_by_side.require_writer(Path(FILM))
-    spec, split = read_bundle(policy).spec, development_set().splits["randomized"]
-    motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
-    track = side_by_side.Track(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
-    with tempfile.TemporaryDirectory() as made:
-        side_by_side.write([track], _SPEED, Path(made) / FILM)
-        return (Path(made) / FILM).read_bytes()

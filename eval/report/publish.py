@@ -60,15 +60,12 @@ def publish(
     scenes, traces, failures = record_scenes(comparison, splits, jobs)
     comparison = comparison.with_failures(failures)
     content = write_results(comparison, folder, *verdict(comparison))
-    calls: dict[str, Callable[[], object]] = {"report.html": partial(_write_report, folder, content, scenes)}
+    report: Callable[[], object] = lambda: write_text(folder / "report.html", render(content, scenes))  # noqa: E731
+    calls = {"report.html": report}
     drawn = plots(Results(content), traces)
     calls |= {name: partial(save_figures, {name: draw}, folder) for name, draw in drawn.items()}
     calls_side_by_side("report and pictures", calls, jobs)
     return content, comparison.failures
-
-
-def _write_report(folder: Path, content: dict[str, Any], scenes: Sequence[Scene]) -> None:
-    write_text(folder / "report.html", render(content, scenes))
 
 
 def print_results(content: dict[str, Any], console: Console) -> None:

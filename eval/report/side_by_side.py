@@ -13,7 +13,7 @@ from typing import Any
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
-import imageio.v3 as imageio
+import imageio.v2 as imageio
 import numpy as np
 from PIL import Image
 
@@ -93,18 +93,30 @@ def write(tracks: list[Track], speed: float, path: Path) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    fps = FPS[path.suffix]
-    shown = list(_frames(tracks, progress_over("pictures", _samples(tracks, speed, fps))))
-    if path.suffix == ".gif":  # in the colours of the middle picture: half the size, and no flicker
-        palette = Image.fromarray(shown[len(shown) // 2]).quantize(_GIF_COLOURS)
-        few = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in shown)
-        shown = [np.asarray(frame.convert("RGB")) for frame in few]
-        durations = [1000 // fps] * (len(shown) - 1) + [round(1000 * _REST_S)]
-        options: dict[str, Any] = {"plugin": "pillow", "duration": durations, "loop": 0}
-    else:
-        shown += shown[-1:] * round(_REST_S * fps)
-        options = {"plugin": "FFMPEG", "fps": fps, "macro_block_size": 2}
-    write_atomically(path, lambda temporary: imageio.imwrite(temporary, np.stack(shown), **options))
+    samples = _samples(tracks, speed, FPS[path.suffix])
+    write_atomically(path, partial(_write_gif if path.suffix == ".gif" else _write_mp4, tracks, samples))
+
+
+def _write_gif(tracks: list[Track], samples: list[int], path: Path) -> None:
+    """Write pictures in the colours of the middle one: half the size, and no flicker."""
+    (middle,) = _frames(tracks, [samples[len(samples) // 2]])
+    palette = Image.fromarray(middle).quantize(_GIF_COLOURS)
+    for track in tracks:
+        track.renderer.clear()
+    few = (
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in _frames(tracks, progress_over("pictures", samples))
+    )
+    durations = [1000 // FPS[".gif"]] * (len(samples) - 1) + [round(1000 * _REST_S)]
+    next(few).save(path, "GIF", save_all=True, append_images=few, duration=durations, loop=0)
+
+
+def _write_mp4(tracks: list[Track], samples: list[int], path: Path) -> None:
+    shown = progress_over("pictures", samples + samples[-1:] * round(_REST_S * FPS[".mp4"]))
+    film: Any = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FPS[".mp4"], macro_block_size=2)
+    with film:
+        for frame in _frames(tracks, shown):
+            film.append_data(frame)
 
 
 def show(tracks: list[Track], speed: float, window: Window) -> None:
