@@ -133,9 +133,6 @@ class TestFolders:
             refused(kind, (f"--storage {url}", word), Workplace(WithStorage(storage=url), tmp_path).__enter__)
 
 
-# Calls in a process of their own, whose end is a failure of the call, however it comes
-
-
 def hang(file: Path) -> str:
     """Code that leaves its process's number in a file, and takes its time."""
     return f"import os, time; open({str(file)!r}, 'w').write(str(os.getpid())); time.sleep(600)"

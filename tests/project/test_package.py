@@ -69,9 +69,6 @@ def test_hashes_are_of_the_pinned_versions():
     assert torch and set(hashed) == {one.replace(".py=", "-py=") for one in pinned - torch}
 
 
-# The wheel, for which all kernels are translated
-
-
 def build(folder: Path, checkout: Path, *kinds: str, umask: int = 0o022) -> dict[str, Path]:
     """Files that `build` makes of a checkout, by suffix; without kinds the wheel is made from the source archive."""
     command = [sys.executable, "-m", "build", *kinds, "--no-isolation", "--outdir", str(folder), str(checkout)]

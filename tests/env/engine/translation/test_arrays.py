@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from translating import Cases, compiler
 
+from beltarm_env.engine.entries import entry_of
 from eval.exports.compilers import SANITISED
 
 CASES = Cases()
@@ -396,6 +397,15 @@ def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_in_c_is_the_kernel_in_python(name: str):
     CASES.check(name)
+
+
+def zeroed(x: Any, n: int) -> None:
+    for i in range(n):
+        x[i + 2] = 0.0
+
+
+def test_an_index_that_is_a_sum_is_taken_as_it_is():
+    assert "x[int_add(i, 2)] =" in entry_of(zeroed, (row(), 3)).text, "else loops over arms are not vectorised"
 
 
 @pytest.mark.slow
