@@ -99,8 +99,7 @@ def write(tracks: list[Track], speed: float, path: Path) -> None:
 
 def _write_gif(tracks: list[Track], samples: list[int], path: Path) -> None:
     """Write pictures in the colours of the middle one: half the size, and no flicker."""
-    (middle,) = _frames(tracks, [samples[len(samples) // 2]])
-    palette = Image.fromarray(middle).quantize(_GIF_COLOURS)
+    palette = Image.fromarray(next(_frames(tracks, [samples[len(samples) // 2]]))).quantize(_GIF_COLOURS)
     for track in tracks:
         track.renderer.clear()
     few = (
@@ -112,11 +111,12 @@ def _write_gif(tracks: list[Track], samples: list[int], path: Path) -> None:
 
 
 def _write_mp4(tracks: list[Track], samples: list[int], path: Path) -> None:
-    shown = progress_over("pictures", samples + samples[-1:] * round(_REST_S * FPS[".mp4"]))
+    times = [1] * (len(samples) - 1) + [1 + round(_REST_S * FPS[".mp4"])]
     film: Any = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FPS[".mp4"], macro_block_size=2)
     with film:
-        for frame in _frames(tracks, shown):
-            film.append_data(frame)
+        for frame, count in zip(_frames(tracks, progress_over("pictures", samples)), times, strict=True):
+            for _ in range(count):
+                film.append_data(frame)
 
 
 def show(tracks: list[Track], speed: float, window: Window) -> None:
