@@ -21,7 +21,7 @@ POLICY = POLICIES / "student" / "seed0"
 
 
 def run_once(name: str) -> None:
-    """Run a controller or "policy" on arms as they are built, or "environment", what a first program runs."""
+    """Run a controller or "policy" on randomized arms, or "environment", what a first program runs."""
     if name == "environment":
         for randomization in ("off", "train"):
             env = gym.make("beltarm_env:BeltArm-v0", randomization=randomization)

@@ -90,7 +90,7 @@ def checked_constant(name: str, value: object) -> float:
 class ArmParams:
     """Physical constants of one arm, SI units. The defaults are the nominal arm: Table 1, and assumptions marked (a).
 
-    Below the torque limit, the drive as it is built (`beltarm_env.physics.drive`). All its effects are zero by default:
+    Below the torque limit, the real drive (`beltarm_env.physics.drive`). All its effects are zero by default:
     the paper's arm.
 
     Raises:
@@ -157,7 +157,7 @@ DRIVE_EFFECTS = (
     *("static_friction_excess", "friction_variation", "torque_ripple"),
     *("kinematic_error", "belt_stiffening", "friction_drift", "presliding_deflection"),
 )
-"""Fields of which each is an effect of the drive as it is built; an arm in which all are zero has the ideal drive."""
+"""Fields of which each is an effect of the real drive; an arm in which all are zero has the ideal drive."""
 NOMINAL = ArmParams()
 
 

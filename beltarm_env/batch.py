@@ -155,7 +155,7 @@ class ArmBatch:
         self._bounds = shared_bounds(randomization, self.num_moves)
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
-        self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
+        self._real_drives = np.zeros(num_arms, np.bool_)  # which arms have a real drive
         self._num_built = 0
         self._substeps = 0  # integration steps per sample that were asked for; 0 for those that the arms need
         self.delays = _delays(delay, num_arms)
@@ -210,7 +210,7 @@ class ArmBatch:
             states = checked_states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
         sensing = self.resolution, self.delays, uniforms
-        of_model = self._built, self.num_moves, self.model
+        of_model = self._real_drives, self.num_moves, self.model
         self._substeps = 0
         begin = at.for_lanes(begin_episodes, self.lanes)
         self._num_built += begin(self.blocks, arms, table, moves, states, *sensing, *of_model)
@@ -225,7 +225,7 @@ class ArmBatch:
             streams: Random streams of all arms, of which theirs move on.
         """
         to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
-        of_model = self._built, self.num_moves, self.profile, self.model
+        of_model = self._real_drives, self.num_moves, self.profile, self.model
         self._substeps = 0
         begin = at.for_lanes(restart_episodes, self.lanes)
         with wrapping():
@@ -242,7 +242,7 @@ class ArmBatch:
             arms: Integers of the arms.
             uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
         """
-        of_model = self._built, self.profile, self.model
+        of_model = self._real_drives, self.profile, self.model
         begin = at.for_lanes(next_moves, self.lanes)
         self._num_built += begin(self.blocks, arms, uniforms, self._bounds, self.table, *of_model)
         if self._substeps:
@@ -273,15 +273,15 @@ class ArmBatch:
 
     def observe(self, observations: Singles, arms: Integers | None = None) -> None:
         """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
-        settings = self.profile, self.tier, self.driven
+        settings = self.profile, self.tier, self.real_drive
         if arms is None:
             at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, *settings)
         else:
             at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, *settings)
 
     @property
-    def driven(self) -> at.Driven:
-        """Whether drives as they are built are among the arms."""
+    def real_drive(self) -> at.RealDrive:
+        """Whether real drives are among the arms."""
         return REAL if self._num_built else IDEAL
 
     @property
@@ -299,7 +299,7 @@ class ArmBatch:
         """Torques of the motors now [N m], shape (num_arms,): what the drives have made of the commands."""
         if self.engine is not None:
             return self.engine.torques()
-        rows = at.rows(self.blocks, at.DRIVEN, 1, self.num_arms)[:, 0]
+        rows = at.rows(self.blocks, at.REAL_DRIVE, 1, self.num_arms)[:, 0]
         commanded = at.rows(self.blocks, at.ACTION, 1, self.num_arms)[:, 0] * self.table[:, COLUMN.torque_limit]
         return np.where(rows > 0, at.rows(self.blocks, at.TORQUE, 1, self.num_arms)[:, 0], commanded)
 
@@ -331,7 +331,7 @@ class ArmBatch:
     def tip_errors(self) -> Floats:
         """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
         errors = np.empty((self.num_arms, 4))
-        at.for_lanes(tip_errors, self.lanes)(self.blocks, errors, self.profile, self.driven)
+        at.for_lanes(tip_errors, self.lanes)(self.blocks, errors, self.profile, self.real_drive)
         return errors
 
     def params(self, arm: int) -> ArmParams:

@@ -18,7 +18,7 @@ from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import ArmBatch, new_renderer
 from beltarm_env.engine import bound
 from beltarm_env.info import MOVE_TOTALS
-from beltarm_env.kernels.layout import Driven, for_lanes
+from beltarm_env.kernels.layout import RealDrive, for_lanes
 from beltarm_env.kernels.step import HUGE, step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
@@ -193,7 +193,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         self._move_ends = 0.0  # steps of the episode after which its move is over
         self._running = False  # within an episode
         self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
-        self._steps: dict[Driven, Callable[..., Any]] = {}  # for each drive that an episode had
+        self._steps: dict[RealDrive, Callable[..., Any]] = {}  # for each drive that an episode had
         self._renderer = None
 
     def reset(
@@ -273,16 +273,16 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         """Return what steps the arm of the episode that runs, prepared once for every drive."""
         if not self._running:
             raise ResetNeeded("no episode is running: call reset() before step()")
-        driven = self._batch.driven
-        if driven not in self._steps:
-            self._steps[driven] = self._step_for(driven)
-        self._step_arm = self._steps[driven]
+        real_drive = self._batch.real_drive
+        if real_drive not in self._steps:
+            self._steps[real_drive] = self._step_for(real_drive)
+        self._step_arm = self._steps[real_drive]
         return self._step_arm
 
-    def _step_for(self, driven: Driven) -> Callable[..., Any]:
+    def _step_for(self, real_drive: RealDrive) -> Callable[..., Any]:
         """Return the kernel behind what is the same in all steps."""
         batch = self._batch
-        settings = batch.profile, batch.tier, batch.model, driven, batch.engine is None
+        settings = batch.profile, batch.tier, batch.model, real_drive, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
         observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, like=np.empty(self._size, np.float32))
 

@@ -15,7 +15,7 @@ import numpy as np
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import episode_metrics
-from beltarm_env.physics.drive import belt_motions, built_drive
+from beltarm_env.physics.drive import belt_motions, real_drive_of
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -206,7 +206,7 @@ class Recording:
             error.plot(self.time, 1e3 * np.hypot(*self.tip_error[:, k].T), color=colour, lw=1, label=label)
             torque.plot(self.time, self.torque[:, k], color=colour, lw=0.8)
             row = self.params[k]
-            torsion, rate = belt_motions(self.state[:, k], plant_of(row), built_drive(row)).T
+            torsion, rate = belt_motions(self.state[:, k], plant_of(row), real_drive_of(row)).T
             phase.plot(1e3 * torsion, rate, color=colour, lw=0.6)
         for axis in (error, torque):
             axis.axvspan(0, self.moves[:count, 2].max(), color="0.5", alpha=0.12, lw=0)

@@ -1,7 +1,7 @@
 """Plant alone, without sensors, reference and episodes: for controllers and observers that simulate their arm.
 
 The state of an arm whose drive is ideal is x = [theta_a, omega_a, theta_s, omega_s], and its commands act at once. Of a
-drive as it is built, the motor's torque, the torques commanded in the last three samples, and how far a motor that
+real drive, the motor's torque, the torques commanded in the last three samples, and how far a motor that
 sticks has given are states too, which stand beside x:
 
     [theta_a, omega_a, theta_s, omega_s, tau, (1 + k) u[k-1], (1 + k) u[k-2], (1 + k) u[k-3], z]
@@ -42,7 +42,7 @@ __all__ = ["DRIVE_STATES", "ArmSimulation", "X"]
 class ArmSimulation:
     """Simulation of any number of arms by one control period, by the environment's own kernels.
 
-    States have 4 entries, or 9 where an arm among them has a drive as it is built; see above.
+    States have 4 entries, or 9 where an arm among them has a real drive; see above.
 
     Args:
         params: One set of constants for each arm, or one for all.

@@ -190,10 +190,10 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         batch = self._batch
         if batch.engine is not None:
             batch.advance_in_engine(fractions)
-        settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
+        settings = batch.profile, batch.tier, batch.model, batch.real_drive, batch.engine is None
         into = fractions, result, rewards, terminated, truncated, terms
         seldom = time.perf_counter() - self._stepped > SOON
-        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, seldom, batch.num_threads)
+        threads = threads_for(len(batch.blocks), batch.real_drive is not IDEAL, seldom, batch.num_threads)
         in_threads(step_arms, threads, batch.blocks, none_taken(threads), *batch.rooms, *into, *settings)
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)

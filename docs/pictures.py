@@ -1,4 +1,4 @@
-"""The picture on each method's page, drawn when the site is built: one move of many arms, as they are built."""
+"""The picture on each method's page, drawn when the site is built: one move of many randomized arms."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from beltarm_env import design_model
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.observation import Entry
-from beltarm_env.physics.drive import belt_motions, built_drive
+from beltarm_env.physics.drive import belt_motions, real_drive_of
 from beltarm_env.rollout import Recording
 
 _STATES = ("torsion", "torsion_speed", "tip_error_x", "tip_error_y", "tip_speed_error_x", "tip_speed_error_y")
@@ -56,7 +56,7 @@ def truth(recording: Recording, hold: int) -> Floats:
     count = len(recording.params)
     belts = np.empty((len(rows), count, 2))  # of the belts themselves, which the error of the gear moves too
     for i, row in enumerate(recording.params):
-        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), built_drive(row))
+        belts[:, i] = belt_motions(np.ascontiguousarray(recording.state[rows, i]), plant_of(row), real_drive_of(row))
     constants = np.broadcast_to(_logs(recording.params), (len(rows), count, len(IDENTIFIED)))
     tips = recording.tip_error[rows], recording.tip_velocity_error[rows]
     return recording.in_turn(np.concatenate([belts, *tips, constants], axis=2))

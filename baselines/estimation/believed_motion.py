@@ -140,7 +140,7 @@ def load(beliefs: Floats, nominal: Nominal, deflections: Floats, room: Simulatio
             room.z[i * LANES + lane] = beliefs[lane, i]
     believe(room.z, arms, nominal.row, room.constants)
     for lane in range(arms):
-        room.loaded[at.DRIVEN * LANES + lane] = 1.0
+        room.loaded[at.REAL_DRIVE * LANES + lane] = 1.0
         room.loaded[at.STEP * LANES + lane] = 0.0
         room.loaded[at.DEFLECTION * LANES + lane] = deflections[lane]
         for i in range(4):
@@ -169,7 +169,7 @@ def load_copy(
     _copy(room.loaded, block, arms, 0, at.MOVE)
     _copy(room.loaded, block, arms, at.STEP, at.STEP + 1)
     _copy(room.loaded, block, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
-    _copy(room.loaded, block, arms, at.DRIVEN, _ROWS)
+    _copy(room.loaded, block, arms, at.REAL_DRIVE, _ROWS)
     entry = k - 1 if k <= z_at.DIFFERENCED else z_at.ERROR_SINE + k - 1 - z_at.DIFFERENCED
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] += z_at.STEPS[k - 1]

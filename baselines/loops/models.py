@@ -5,7 +5,7 @@ the controller itself asked for. So with P the sampled arm and C the law there i
 
     L(z) = -C(z) P(z),    S = 1 / (1 + L),
 
-and cutting it at the plant's input, the command, is cutting it at the encoder. P has the drive as it is built: current
+and cutting it at the plant's input, the command, is cutting it at the encoder. P has the real drive: current
 loop, latency and torque constant (`beltarm_env.physics.sampled`). Where all three are zero it is the ideal motor's.
 """
 

@@ -7,7 +7,7 @@ About the motion x_k of a trial under torques tau_k the arm is linear,
     dx[k+1] = A_k dx[k] + b_k v[k]
 
 with v the change of the torque, and A_k, b_k by differences of the arm's own simulation, friction included: where the
-motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts, the commands under way and the deflection of
+motor sticks, b_k = 0. Behind a real drive, the torque that acts, the commands under way and the deflection of
 a motor that gives are states too (`beltarm_env.simulation`). Errors follow as e_k + C_k dx_k. Of the next trial is
 asked
 
@@ -39,7 +39,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
-from beltarm_env.physics.drive import built_drive
+from beltarm_env.physics.drive import real_drive_of
 from beltarm_env.physics.friction import SLIPS
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
@@ -239,7 +239,7 @@ def followed(trial: Trial, change: Floats, gain: Floats) -> Floats:
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
     """Errors of the tip, shape (T, 4), and their derivatives by the state, shape (T, 4, 4)."""
-    plant, drive, of_state = plant_of(row), built_drive(row), np.empty((len(states), 4, 4))
+    plant, drive, of_state = plant_of(row), real_drive_of(row), np.empty((len(states), 4, 4))
     for j, move in enumerate(np.diag(_MOVES)):
         there, back = (tip_errors(states + sign * move, task, plant, drive) for sign in (1.0, -1.0))
         of_state[:, :, j] = (there - back) / (2 * _MOVES[j])

@@ -37,7 +37,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
-from beltarm_env.physics.drive import Drive, built_drive
+from beltarm_env.physics.drive import Drive, real_drive_of
 from beltarm_env.physics.kinematics import tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.recording import Recording
@@ -80,7 +80,7 @@ class _Arm:
 
     def __init__(self, params: ArmParams, move: MoveShape, steps: int, count: int, before: Optimum | None) -> None:
         self._row, self.limit = params.row(), params.torque_limit
-        self._plant, self._drive = params.plant(), built_drive(self._row)
+        self._plant, self._drive = params.plant(), real_drive_of(self._row)
         self._task = np.ascontiguousarray(sampled_moves(np.array([move]), steps)[0, 1:, :2])
         self._simulation = ArmSimulation(params, count)
         self._table = np.repeat(self._row[None], count, axis=0)

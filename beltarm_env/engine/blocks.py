@@ -15,9 +15,9 @@ from beltarm_env.engine.kernels import inlined
 from beltarm_env.engine.words import Integers, add
 
 MAX_THREADS = 256
-LEAST_BLOCKS, LEAST_SELDOM_BLOCKS, LEAST_BUILT_BLOCKS = 8, 30, 2
+LEAST_BLOCKS, LEAST_SELDOM_BLOCKS, LEAST_REAL_BLOCKS = 8, 30, 2
 """For which a thread pays: of arms with an ideal drive that are stepped often, or seldom, so that it must be woken each
-time; and with drives as they are built."""
+time; and with real drives."""
 SOON = 1e-3
 """Time within which a call must follow another for threads to be awake still [s]."""
 _BACK = 1 << 32
@@ -38,16 +38,16 @@ def usual_threads(most: int = MAX_THREADS) -> int:
     return min(int(told) if told.isdecimal() and int(told) > 0 else cores, most, MAX_THREADS)
 
 
-def threads_for(blocks: int, built: bool, seldom: bool, most: int) -> int:
+def threads_for(blocks: int, real_drives: bool, seldom: bool, most: int) -> int:
     """Return how many threads to use.
 
     Args:
         blocks: Of arms.
-        built: Whether drives as they are built are among them.
+        real_drives: Whether real drives are among them.
         seldom: Whether they are stepped so seldom that threads sleep in between.
         most: Threads that there are.
     """
-    least = LEAST_BUILT_BLOCKS if built else (LEAST_SELDOM_BLOCKS if seldom else LEAST_BLOCKS)
+    least = LEAST_REAL_BLOCKS if real_drives else (LEAST_SELDOM_BLOCKS if seldom else LEAST_BLOCKS)
     return min(most, max(1, blocks // least))
 
 

@@ -17,7 +17,7 @@ from beltarm_env.kernels.layout import (
     IDEAL,
     LANES,
     REAL,
-    Driven,
+    RealDrive,
     drive_among,
     load_plant,
     load_stages,
@@ -46,7 +46,9 @@ WORK_ROWS = PIECE_ROWS + 4
 
 
 @compiled
-def advance_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
+def advance_block(
+    block: Floats, work: Floats, actions: Floats, count: int, model: Model, real_drive: RealDrive
+) -> None:
     """Advance the first `count` arms of a block by one control period.
 
     Args:
@@ -55,14 +57,14 @@ def advance_block(block: Floats, work: Floats, actions: Floats, count: int, mode
         actions: Torques commanded, over their limits, shape (LANES,).
         count: Number of arms.
         model: Whose equations of motion.
-        driven: Whether real drives are among the arms.
+        real_drive: Whether real drives are among the arms.
     """
-    if driven is IDEAL:
+    if real_drive is IDEAL:
         _advance(block, work, actions, count, model, IDEAL)
         return
     real = 0.0
     for j in range(count):
-        real += block[at.DRIVEN * LANES + j]
+        real += block[at.REAL_DRIVE * LANES + j]
     if real == 0.0:
         _advance(block, work, actions, count, model, IDEAL)
         return
@@ -78,7 +80,7 @@ def advance_block(block: Floats, work: Floats, actions: Floats, count: int, mode
     advance_real_block(block, work, actions, count, model)
     if real < count:
         for j in range(count):
-            if block[at.DRIVEN * LANES + j] == 0.0:
+            if block[at.REAL_DRIVE * LANES + j] == 0.0:
                 store_state(block, at.STATE, j, load_state(kept, 0, j))
 
 
@@ -107,18 +109,20 @@ def advance_part(block: Floats, work: Floats, actions: Floats, duration: float, 
 
 
 @compiled
-def _advance(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
-    _take_whole_step(block, work, actions, count, model, driven)
-    take_pieces(block, work, count, model, driven)
+def _advance(block: Floats, work: Floats, actions: Floats, count: int, model: Model, real_drive: RealDrive) -> None:
+    _take_whole_step(block, work, actions, count, model, real_drive)
+    take_pieces(block, work, count, model, real_drive)
 
 
 @compiled
-def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, model: Model, driven: Driven) -> None:
+def _take_whole_step(
+    block: Floats, work: Floats, actions: Floats, count: int, model: Model, real_drive: RealDrive
+) -> None:
     """Take the whole sample in one step; mark the arms for which that may not do, and leave them where they are."""
     for j in range(count):
         after = actions[j] * block[_LIMIT * LANES + j]
         before, torques, low, high, torque, deflection = after, steady(after), after, after, after, 0.0
-        if driven is not IDEAL:
+        if real_drive is not IDEAL:
             shift = at.TARGETS * LANES + j
             t3, t2, t1 = block[shift + 2 * LANES], block[shift + LANES], block[shift]
             t0 = after * block[at.GAIN * LANES + j]
@@ -136,7 +140,7 @@ def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, m
             low, high = (before, after) if before < after else (after, before)
             low, high = torque if torque < low else low, torque if torque > high else high
             deflection = block[at.DEFLECTION * LANES + j]
-        x, plant, drive = load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, driven)
+        x, plant, drive = load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, real_drive)
         direction = 1.0 if x.motor_speed > 0.0 else (-1.0 if x.motor_speed < 0.0 else 0.0)
         if drive is not None:
             direction = mode_of_giving(deflection) if drive.spring > 0.0 else direction
@@ -150,7 +154,7 @@ def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, m
         work[AFTER * LANES + j] = after
         work[SUSPECT * LANES + j] = 0.0 if stays else 1.0
         if drive is not None:
-            whole = whole | (block[at.DRIVEN * LANES + j] == 0.0)
+            whole = whole | (block[at.REAL_DRIVE * LANES + j] == 0.0)
             gave = step.state.motor_angle - x.motor_angle if direction == 0.0 else 0.0
             moved = (drive.spring > 0.0) & whole
             block[at.TORQUE * LANES + j] = torques.end if whole else torque

@@ -23,7 +23,7 @@ def begin_drive(block: Floats, lane: int, row: Any) -> None:
     effect = 0.0
     for k in range(len(DRIVE_COLUMNS)):
         effect = 1.0 if row[DRIVE_COLUMNS[k]] != 0.0 else effect
-    block[at.DRIVEN * LANES + lane] = effect
+    block[at.REAL_DRIVE * LANES + lane] = effect
     begin_lag(block, lane, float(row[COLUMN.current_loop_time_constant]), float(row[COLUMN.command_latency]))
     begin_friction(block, lane, row)
 

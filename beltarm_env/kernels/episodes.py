@@ -12,7 +12,7 @@ from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import (
     LANES,
-    Driven,
+    RealDrive,
     drive_among,
     load_move,
     load_plant,
@@ -48,11 +48,11 @@ def begin_episodes(
     resolution: float,
     delays: Floats,
     draws: Floats,
-    built: Flags,
+    real_drives: Flags,
     num_moves: int,
     model: Model,
 ) -> int:
-    """Begin a new episode in n arms, and return by how many there are more with a drive as it is built.
+    """Begin a new episode in n arms, and return by how many there are more with a real drive.
 
     Args:
         blocks: The arms, as `layout` describes.
@@ -63,7 +63,7 @@ def begin_episodes(
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
         draws: Uniform random numbers of the episodes, shape (n, DRAWS).
-        built: Which of all arms have a drive as it is built, shape (N,); changed.
+        real_drives: Which of all arms have a real drive, shape (N,); changed.
         num_moves: Moves of the episodes.
         model: Whose equations of motion.
     """
@@ -83,8 +83,8 @@ def begin_episodes(
         block[at.DEFLECTION * LANES + j] = begun_deflection(x.motor_speed, drive_of(table[i]))
         of_sensors, delay = draws[i, FIRST_OF_SENSORS:], float(delays[arms[i]])
         begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, delay, of_sensors)
-        more += int(now) - int(built[arms[i]])
-        built[arms[i]] = now
+        more += int(now) - int(real_drives[arms[i]])
+        real_drives[arms[i]] = now
     return more
 
 
@@ -97,7 +97,7 @@ def restart_episodes(
     table: Floats,
     resolution: float,
     delays: Floats,
-    built: Flags,
+    real_drives: Flags,
     num_moves: int,
     profile: int,
     model: Model,
@@ -112,7 +112,7 @@ def restart_episodes(
         table: Parameters of all arms, shape (N, len(FIELDS)); changed.
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
-        built: Which of all arms have a drive as it is built, shape (N,); changed.
+        real_drives: Which of all arms have a real drive, shape (N,); changed.
         num_moves: Moves of the episodes.
         profile: Index into `reference.PROFILES`.
         model: Whose equations of motion.
@@ -124,7 +124,7 @@ def restart_episodes(
     for i in range(count):
         table[arms[i]] = drawn[i]
     moves = draw_moves(profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
-    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, built, num_moves, model)
+    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, real_drives, num_moves, model)
 
 
 @inlined
@@ -156,11 +156,11 @@ def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, to
 
 
 @compiled
-def tip_errors(blocks: Floats, errors: Floats, profile: int, driven: Driven) -> None:
+def tip_errors(blocks: Floats, errors: Floats, profile: int, real_drive: RealDrive) -> None:
     """Write tip minus reference tip, position [m] and velocity [m/s], x and y each, into `errors`, shape (N, 4)."""
     for i in range(len(errors)):
         block, j = blocks[i // LANES], i % LANES
         plant = load_plant(block, j)
-        tip = tip_motion(load_state(block, at.STATE, j), plant, drive_among(block, j, driven))
+        tip = tip_motion(load_state(block, at.STATE, j), plant, drive_among(block, j, real_drive))
         reference = reference_at(profile, load_move(block, j), block[at.STEP * LANES + j] * CONTROL_PERIOD)
         errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = tip_error(tip, reference.angle, reference.speed, plant)

@@ -56,8 +56,8 @@ ACROSS = ALONG + 3  # and across it
 BIASES = ACROSS + 3  # of both [m/s^2]
 NOISE_SEED = BIASES + 2
 TOTALS = NOISE_SEED + 1  # over the move: the three cost terms, squared tip error, largest tip error
-DRIVEN = TOTALS + 5  # whether the drive is one as it is built: 1, or 0 where it is ideal
-SPLIT = DRIVEN + 1  # when a command arrives within a sample [s]
+REAL_DRIVE = TOTALS + 5  # 1 where the drive is real, 0 where it is ideal
+SPLIT = REAL_DRIVE + 1  # when a command arrives within a sample [s]
 LATE = SPLIT + 1  # whole samples by which it is late
 BY_BEFORE = LATE + 1  # shares that the torque commanded before has in the torques of a step's stages
 BY_AFTER = BY_BEFORE + len(Stages._fields)  # and that commanded after
@@ -76,7 +76,7 @@ SWINGS = FRICTION_LEVEL + 1  # most of x, -x, y, -y of the tip error after the m
 UNSTILL = SWINGS + 4  # samples after which the tip error was beyond `STILL_BAND` for the last time
 ROWS = UNSTILL + 1
 
-Driven = bool | None
+RealDrive = bool | None
 IDEAL: Final = None
 REAL: Final = True
 """Whether real drives are among the arms: a kernel compiled for IDEAL has none of their equations."""
@@ -156,9 +156,9 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
 
 
 @inlined
-def drive_among(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive | None:
+def drive_among(block: NDArray[np.float64], lane: int, real_drive: RealDrive) -> Drive | None:
     """Load the coefficients of one lane's drive; None among ideal ones."""
-    if driven is IDEAL:
+    if real_drive is IDEAL:
         return None
     return load_drive(block, lane)
 

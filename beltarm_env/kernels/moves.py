@@ -38,7 +38,7 @@ def begin_move(block: Floats, j: int, move: Any, row: Any, model: Model) -> bool
     block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
     for k in range(4):
         block[(at.SWINGS + k) * LANES + j] = -LARGEST_ERROR
-    return block[at.DRIVEN * LANES + j] != 0.0
+    return block[at.REAL_DRIVE * LANES + j] != 0.0
 
 
 @inlined
@@ -63,7 +63,7 @@ def next_moves(
     draws: Floats,
     bounds: Floats,
     table: Floats,
-    built: Flags,
+    real_drives: Flags,
     profile: int,
     model: Model,
 ) -> int:
@@ -75,7 +75,7 @@ def next_moves(
         draws: Uniform random numbers, shape (n, DRAWS).
         bounds: Of the parameters, shape (2, len(FIELDS)).
         table: Parameters of all arms, shape (N, len(FIELDS)); changed.
-        built: Which of all arms have a drive as it is built, shape (N,); changed.
+        real_drives: Which of all arms have a real drive, shape (N,); changed.
         profile: Index into `reference.PROFILES`.
         model: Whose equations of motion.
     """
@@ -90,12 +90,12 @@ def next_moves(
         _close_move(block, j)
         loaded = block[at.EARLIER * LANES + j] % (2 * EPISODE_STEPS) == 0.0
         level = float(block[at.FRICTION_LEVEL * LANES + j])
-        if not built[arms[i]]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
+        if not real_drives[arms[i]]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
             block[at.TORQUE * LANES + j] = block[at.ACTION * LANES + j] * table[arms[i], COLUMN.torque_limit]
         block[at.FRICTION_LEVEL * LANES + j] = change_row(table[arms[i]], drawn[i], level, loaded)
         now = begin_move(block, j, moves[i], table[arms[i]], model)
-        more += int(now) - int(built[arms[i]])
-        built[arms[i]] = now
+        more += int(now) - int(real_drives[arms[i]])
+        real_drives[arms[i]] = now
     return more
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, Driven, load_move, load_plant
+from beltarm_env.kernels.layout import LANES, RealDrive, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
 from beltarm_env.kernels.tile import put, transpose
 from beltarm_env.observation import LOOKAHEADS, index
@@ -68,12 +68,12 @@ def _put_common_entries(block: Floats, tile: Singles, lane: int, profile: int) -
 
 
 @inlined
-def _put_last_entries(block: Floats, tile: Singles, count: int, tier: int, driven: Driven) -> None:
+def _put_last_entries(block: Floats, tile: Singles, count: int, tier: int, real_drive: RealDrive) -> None:
     """Put what does not fill a group of the tile: the last command, the gripper, and what one sensor tier observes."""
     for j in range(count):
         put(tile, j, _LAST_COMMAND, block[at.ACTION * LANES + j])
         put(tile, j, _HOLDS_PART, block[at.HOLDS_PART * LANES + j])
-    put_tier_entries(block, tile, count, tier, driven)
+    put_tier_entries(block, tile, count, tier, real_drive)
 
 
 @inlined
@@ -83,7 +83,9 @@ def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
 
 
 @compiled
-def observe_block(block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
+def observe_block(
+    block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, real_drive: RealDrive
+) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 
     Args:
@@ -92,23 +94,25 @@ def observe_block(block: Floats, tile: Singles, observations: Singles, profile: 
         observations: Shape (count, size).
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
-        driven: Whether drives as they are built are among the arms.
+        real_drive: Whether real drives are among the arms.
     """
     count = len(observations)
     if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
         _put_all(block, tile, count, TRAPEZOID)
     else:
         _put_all(block, tile, count, profile)
-    _put_last_entries(block, tile, count, tier, driven)
+    _put_last_entries(block, tile, count, tier, real_drive)
     transpose(tile, observations, tier)
 
 
 @compiled
-def observe_arms(blocks: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
+def observe_arms(
+    blocks: Floats, tile: Singles, observations: Singles, profile: int, tier: int, real_drive: RealDrive
+) -> None:
     """Write the observations of all arms, shape (N, size); arguments as of `observe_block`."""
     for k in range(len(blocks)):
         low = k * LANES
-        observe_block(blocks[k], tile, observations[low : low + LANES], profile, tier, driven)
+        observe_block(blocks[k], tile, observations[low : low + LANES], profile, tier, real_drive)
 
 
 @compiled
@@ -119,9 +123,9 @@ def observe_some(
     arms: NDArray[np.intp],
     profile: int,
     tier: int,
-    driven: Driven,
+    real_drive: RealDrive,
 ) -> None:
     """Write the observations of some arms, one by one; arguments as of `observe_block`."""
     for arm in arms:
         block, lane = blocks[arm // LANES], arm % LANES  # a block that begins with a lane has this one as its first
-        observe_block(block[lane:], tile, observations[arm : arm + 1], profile, tier, driven)
+        observe_block(block[lane:], tile, observations[arm : arm + 1], profile, tier, real_drive)

@@ -19,7 +19,7 @@ from beltarm_env.kernels.layout import (
     IDEAL,
     LANES,
     REAL,
-    Driven,
+    RealDrive,
     drive_among,
     load_plant,
     load_state,
@@ -67,7 +67,7 @@ PIECE_ROWS = _EXITS + EXIT_ROWS
 
 
 @compiled
-def take_pieces(block: Floats, work: Floats, count: int, model: Model, driven: Driven) -> None:
+def take_pieces(block: Floats, work: Floats, count: int, model: Model, real_drive: RealDrive) -> None:
     """Move the arms over their sample for which one step would not do.
 
     Args:
@@ -75,9 +75,9 @@ def take_pieces(block: Floats, work: Floats, count: int, model: Model, driven: D
         work: Working block, with BEFORE, AFTER, SUSPECT and WHOLE of each arm.
         count: Number of arms, which are the first.
         model: Whose equations of motion.
-        driven: Whether their drives are real.
+        real_drive: Whether their drives are real.
     """
-    _finish(block, work, _gather(block, work, count, driven), model, driven)
+    _finish(block, work, _gather(block, work, count, real_drive), model, real_drive)
 
 
 @compiled
@@ -92,21 +92,21 @@ def take_part(block: Floats, work: Floats, duration: float, model: Model) -> Non
 
 
 @compiled
-def _finish(block: Floats, work: Floats, pending: int, model: Model, driven: Driven) -> None:
+def _finish(block: Floats, work: Floats, pending: int, model: Model, real_drive: RealDrive) -> None:
     """Move the arms that are gathered to the end of their sample."""
     for _ in range(MOST_STEPS):
         if pending == 0:
             break
-        _step(work, _pad(work, pending, driven), model, driven)
+        _step(work, _pad(work, pending, real_drive), model, real_drive)
         _cut_at_exits(work, pending)
-        pending = _put_back_finished(block, work, pending, driven)
+        pending = _put_back_finished(block, work, pending, real_drive)
     for i in range(pending):
         lost = ArmState(math.nan, math.nan, math.nan, math.nan)
         store_state(block, at.STATE, int(work[_LANE * LANES + i]), lost)
 
 
 @compiled
-def _gather(block: Floats, work: Floats, count: int, driven: Driven) -> int:
+def _gather(block: Floats, work: Floats, count: int, real_drive: RealDrive) -> int:
     """Copy the arms to the front of `work`, at the beginning of their sample."""
     pending = 0
     for j in range(count):  # without a branch, which would be mispredicted again and again
@@ -124,7 +124,7 @@ def _gather(block: Floats, work: Floats, count: int, driven: Driven) -> int:
         work[_SINCE * LANES + i] = CONTROL_PERIOD
         work[_DIRECTION * LANES + i] = _UNKNOWN
         work[_ENDS * LANES + i] = _ASKED
-        if driven is not IDEAL:
+        if real_drive is not IDEAL:
             for row in range(at.DRIVE, at.MOVE):
                 work[row * LANES + i] = block[row * LANES + j]
             split, deflection = block[at.SPLIT * LANES + j], block[at.DEFLECTION * LANES + j]
@@ -149,11 +149,11 @@ def either(first: bool, x: ArmState, y: ArmState) -> ArmState:
 
 
 @compiled
-def _step(work: Floats, count: int, model: Model, driven: Driven) -> None:
+def _step(work: Floats, count: int, model: Model, real_drive: RealDrive) -> None:
     """Take the next step of each arm; mark those that leave their mode, which keep the state that they began with."""
     for j in range(count):
         x = load_state(work, at.STATE, j)
-        plant, drive = load_plant(work, j), drive_among(work, j, driven)
+        plant, drive = load_plant(work, j), drive_among(work, j, real_drive)
         until, since = work[_UNTIL * LANES + j], work[_SINCE * LANES + j]
         after, begun = work[AFTER * LANES + j], work[_DIRECTION * LANES + j]
         asked, to_exit = work[_ENDS * LANES + j] == _ASKED, work[_ENDS * LANES + j] == _AT_EXIT
@@ -240,38 +240,38 @@ def _cut_at_exits(work: Floats, count: int) -> None:
 
 
 @compiled
-def _put_back_finished(block: Floats, work: Floats, count: int, driven: Driven) -> int:
+def _put_back_finished(block: Floats, work: Floats, count: int, real_drive: RealDrive) -> int:
     """Write the arms that are done to the lanes of `block` that they came from; fill their places from the end."""
     pending, i = count, 0
     while i < pending:
         if work[_UNTIL * LANES + i] + work[_SINCE * LANES + i] <= 0.0:
             lane = int(work[_LANE * LANES + i])
             store_state(block, at.STATE, lane, load_state(work, at.STATE, i))
-            if driven is not IDEAL:
+            if real_drive is not IDEAL:
                 block[at.TORQUE * LANES + lane] = work[_TORQUE * LANES + i]
                 block[at.DEFLECTION * LANES + lane] = work[_DEFLECTION * LANES + i]
             pending -= 1
             if i < pending:
-                _copy(work, pending, i, driven)
+                _copy(work, pending, i, real_drive)
         else:
             i += 1
     return pending
 
 
 @compiled
-def _pad(work: Floats, pending: int, driven: Driven) -> int:
+def _pad(work: Floats, pending: int, real_drive: RealDrive) -> int:
     """Fill up with copies of the first arm to whole vectors."""
     padded = whole_vectors(pending)
     for i in range(pending, padded):
-        _copy(work, 0, i, driven)
+        _copy(work, 0, i, real_drive)
     return padded
 
 
 @inlined
-def _copy(work: Floats, source: int, target: int, driven: Driven) -> None:
+def _copy(work: Floats, source: int, target: int, real_drive: RealDrive) -> None:
     for row in range(at.KINEMATICS):
         work[row * LANES + target] = work[row * LANES + source]
-    if driven is not IDEAL:
+    if real_drive is not IDEAL:
         for row in range(at.DRIVE, at.MOVE):
             work[row * LANES + target] = work[row * LANES + source]
     for row in range(_TORQUE, _KEPT_ROWS):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from beltarm_env.arm import Plant
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, Driven, drive_among, load_plant, load_state, store_state
+from beltarm_env.kernels.layout import LANES, RealDrive, drive_among, load_plant, load_state, store_state
 from beltarm_env.kernels.tile import OWN_ROW, put
 from beltarm_env.observation import ACCELEROMETER, FULL, TIP
 from beltarm_env.physics.drive import Drive, belt_motion
@@ -96,7 +96,7 @@ def _add_errors(block: Floats, lane: int, sample: float) -> None:
 
 
 @compiled
-def sense_block(block: Floats, count: int, tier: int, driven: Driven) -> None:
+def sense_block(block: Floats, count: int, tier: int, real_drive: RealDrive) -> None:
     """Shift the histories by one sample and read the sensors anew, from states that did not run away."""
     between = 0
     for j in range(count):
@@ -107,14 +107,14 @@ def sense_block(block: Floats, count: int, tier: int, driven: Driven) -> None:
             earlier = between_samples(load_state(block, at.BEFORE, j), x, block[at.FRACTION * LANES + j])
             store_state(block, at.STATE, j, earlier)
             store_state(block, at.BEFORE, j, x)
-    _read_sensors(block, count, tier, driven)
+    _read_sensors(block, count, tier, real_drive)
     if between > 0:
         for j in range(count):
             store_state(block, at.STATE, j, load_state(block, at.BEFORE, j))
 
 
 @inlined
-def _read_sensors(block: Floats, count: int, tier: int, driven: Driven) -> None:
+def _read_sensors(block: Floats, count: int, tier: int, real_drive: RealDrive) -> None:
     for j in range(count):
         block[(at.COUNTS + 3) * LANES + j] = block[(at.COUNTS + 2) * LANES + j]
         block[(at.COUNTS + 2) * LANES + j] = block[(at.COUNTS + 1) * LANES + j]
@@ -126,11 +126,11 @@ def _read_sensors(block: Floats, count: int, tier: int, driven: Driven) -> None:
         for j in range(count):
             block[(at.TIP_SPEEDS + 2) * LANES + j] = block[(at.TIP_SPEEDS + 1) * LANES + j]
             block[(at.TIP_SPEEDS + 1) * LANES + j] = block[at.TIP_SPEEDS * LANES + j]
-            tip = tip_motion(load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, driven))
+            tip = tip_motion(load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, real_drive))
             block[at.TIP_SPEEDS * LANES + j] = tip.x_speed
     elif tier == ACCELEROMETER:
         for j in range(count):
-            tip = tip_motion(load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, driven))
+            tip = tip_motion(load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, real_drive))
             _move_tip(block, j, tip)
         for j in range(count):
             sample = block[at.EARLIER * LANES + j] + block[at.STEP * LANES + j]
@@ -156,7 +156,7 @@ def encoder_reading(block: Floats, lane: int) -> tuple[float, float]:
 
 
 @inlined
-def put_tier_entries(block: Floats, tile: Singles, count: int, tier: int, driven: Driven) -> None:
+def put_tier_entries(block: Floats, tile: Singles, count: int, tier: int, real_drive: RealDrive) -> None:
     """Put the entries into a tile that a sensor tier has beyond the encoder's."""
     if tier == TIP:
         for j in range(count):
@@ -164,7 +164,7 @@ def put_tier_entries(block: Floats, tile: Singles, count: int, tier: int, driven
     elif tier == FULL:
         for j in range(count):
             x = load_state(block, at.STATE, j)
-            torsion, torsion_speed = belt_motion(x, load_plant(block, j), drive_among(block, j, driven))
+            torsion, torsion_speed = belt_motion(x, load_plant(block, j), drive_among(block, j, real_drive))
             put(tile, j, OWN_ROW[FULL], torsion)
             put(tile, j, OWN_ROW[FULL] + 1, torsion_speed)
     elif tier == ACCELEROMETER:

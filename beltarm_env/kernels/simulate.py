@@ -56,7 +56,7 @@ def room_for(count: int) -> Room:
 
 
 def state_size(table: Floats) -> int:
-    """Entries of the states of arms: 9 where one among them has a drive as it is built; columns as `ArmParams`."""
+    """Entries of the states of arms: 9 where one among them has a real drive; columns as `ArmParams`."""
     return X + DRIVE_STATES if table[:, DRIVE_COLUMNS].any() else X
 
 

@@ -17,7 +17,7 @@ from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.episodes import totals_so_far
 from beltarm_env.kernels.layout import (
     LANES,
-    Driven,
+    RealDrive,
     aligned_rows,
     drive_among,
     load_move,
@@ -69,7 +69,7 @@ def _note_rest(block: Floats, j: int, cost: StepCost, step: float) -> None:
 
 
 @inlined
-def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
+def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, real_drive: RealDrive) -> None:
     """Charge the cost of the step, add to the move's totals, and find whether it is over."""
     for j in range(count):
         x = load_state(block, at.STATE, j)
@@ -77,7 +77,7 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, dr
         action = scratch[ACTION * LANES + j]
         step = block[at.STEP * LANES + j] + 1.0
         reference = reference_at(profile, load_move(block, j), step * CONTROL_PERIOD)
-        tip = tip_motion(x, plant, drive_among(block, j, driven))
+        tip = tip_motion(x, plant, drive_among(block, j, real_drive))
         cost = step_cost(tip, reference.angle, reference.speed, action, block[at.ACTION * LANES + j], plant)
         block[at.STEP * LANES + j] = step
         block[at.ACTION * LANES + j] = action
@@ -113,7 +113,7 @@ def _consider_further_moves(block: Floats, scratch: Floats, count: int) -> None:
 
 
 @compiled
-def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
+def charge(block: Floats, scratch: Floats, count: int, profile: int, real_drive: RealDrive) -> None:
     """Charge the first arms of a block for a step: its cost, the episode's totals, and whether the episode is over.
 
     Args:
@@ -121,12 +121,12 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Dri
         scratch: Rows of a step, with the actions; the results are written.
         count: Number of arms.
         profile: Index into `reference.PROFILES`.
-        driven: Whether drives as they are built are among the arms.
+        real_drive: Whether real drives are among the arms.
     """
     if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
-        _charge_profile(block, scratch, count, TRAPEZOID, driven)
+        _charge_profile(block, scratch, count, TRAPEZOID, real_drive)
     else:
-        _charge_profile(block, scratch, count, profile, driven)
+        _charge_profile(block, scratch, count, profile, real_drive)
     ended = 0
     for j in range(count):
         ended += 1 if scratch[TERMINATED * LANES + j] + scratch[TRUNCATED * LANES + j] > 0.0 else 0
@@ -143,17 +143,17 @@ def _step_block(
     profile: int,
     tier: int,
     model: Model,
-    driven: Driven,
+    real_drive: RealDrive,
     integrate: bool,
 ) -> None:
     """Step the arms of one block by one control period; actions are in scratch, results go to scratch."""
     count = len(observations)
     if integrate:
         work, actions = scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES]
-        advance_block(block, work, actions, count, model, driven)
-    sense_block(block, count, tier, driven)
-    charge(block, scratch, count, profile, driven)
-    observe_block(block, tile, observations, profile, tier, driven)
+        advance_block(block, work, actions, count, model, real_drive)
+    sense_block(block, count, tier, real_drive)
+    charge(block, scratch, count, profile, real_drive)
+    observe_block(block, tile, observations, profile, tier, real_drive)
 
 
 @compiled
@@ -172,7 +172,7 @@ def step_arms(
     profile: int,
     tier: int,
     model: Model,
-    driven: Driven,
+    real_drive: RealDrive,
     integrate: bool,
 ) -> None:
     """Step N arms by one control period, those of the blocks that a thread takes; results are written in place.
@@ -192,7 +192,7 @@ def step_arms(
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.
-        driven: Whether drives as they are built are among the arms.
+        real_drive: Whether real drives are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
     scratch, tile = scratches[thread], tiles[thread]
@@ -203,7 +203,7 @@ def step_arms(
         low = k * LANES
         high = min(low + LANES, len(actions))
         _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
+        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, real_drive, integrate)
         _give_flags(scratch, TERMINATED, terminated[low:high])
         _give_flags(scratch, TRUNCATED, truncated[low:high])
         _give(scratch, REWARD, rewards[low:high])
@@ -239,7 +239,7 @@ def step_arm(
     profile: int,
     tier: int,
     model: Model,
-    driven: Driven,
+    real_drive: RealDrive,
     integrate: bool,
     action: float,
     observation: Singles,
@@ -253,7 +253,7 @@ def step_arm(
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.
-        driven: Whether drives as they are built are among the arms.
+        real_drive: Whether real drives are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
         action: Torque over the torque limit, cut to [-1, 1].
         observation: Written in place, shape (size,).
@@ -268,7 +268,7 @@ def step_arm(
     if not -HUGE < action < HUGE:
         raise ValueError("the action is not finite")
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
-    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, real_drive, integrate)
     terminated = bool(scratch[TERMINATED * LANES] != 0.0)
     total, position, velocity, torque_rate, steps, rms, largest = totals_so_far(blocks[0], 0, terminated)
     info = {

@@ -1,4 +1,4 @@
-"""What MuJoCo can express of the drive as it is built: latency, current loop, torque constant and drift of friction.
+"""What MuJoCo can express of the real drive: latency, current loop, torque constant and drift of friction.
 
 The rest would need torques and friction that change with the motor's angle or speed within MuJoCo's steps, or a tendon
 whose stiffness changes with its length: it is refused.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
-from beltarm_env.physics.drive import SMALLEST_DEFLECTION, Drive, built_drive
+from beltarm_env.physics.drive import SMALLEST_DEFLECTION, Drive, real_drive_of
 from beltarm_env.physics.models import Model, accelerations, model_of, sliding_direction
 from beltarm_env.physics.state import ArmState
 
@@ -27,7 +27,7 @@ def _derivative(x: Floats, torque: float, plant: Plant, drive: Drive | None, mod
 
 @lru_cache(maxsize=64)
 def _coefficients(params: ArmParams) -> tuple[Plant, Drive | None]:
-    return params.plant(), built_drive(params.row())
+    return params.plant(), real_drive_of(params.row())
 
 
 def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str = "lumped") -> Floats:
@@ -36,7 +36,7 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
     Friction opposes the motor's motion. A motor at rest stays there until the torque that pulls at it exceeds the
     breakaway torque. Solvers of smooth equations do not find a motor that stops; the environment locates that instant.
 
-    Of a drive as it is built, the torque is that of the motor: current loop and latency stand before it, and friction
+    Of a real drive, the torque is that of the motor: current loop and latency stand before it, and friction
     is as at the start of an episode. A motor that gives before it slips has a deflection beside x, see `ArmSimulation`.
 
     Args:

@@ -1,4 +1,4 @@
-"""The drive as it is built: what a motor, its amplifier and a harmonic drive do beyond the paper's equations.
+"""The real drive: what a motor, its amplifier and a harmonic drive do beyond the paper's equations.
 
     T_i dtau/dt = (1 + k) u - tau                                 current loop and torque constant; u acts T_c late
     tau_r = c sin(n theta_a + phi_c)                              torque ripple
@@ -36,7 +36,7 @@ SMALLEST_DEFLECTION = 1e-6
 
 
 class Drive(NamedTuple):
-    """Coefficients of a drive as it is built, derived once from `ArmParams`."""
+    """Coefficients of a real drive, derived once from `ArmParams`."""
 
     static_excess: float  # s
     inverse_stribeck_speed: float  # 1 / omega_s  [s/rad]
@@ -91,8 +91,8 @@ def drive_of(row: Any) -> Drive:
     )
 
 
-def built_drive(row: Floats) -> Drive | None:
-    """Derive the coefficients of a drive as it is built, from a row of constants; None if the drive is ideal."""
+def real_drive_of(row: Floats) -> Drive | None:
+    """Derive the coefficients of a real drive, from a row of constants; None if the drive is ideal."""
     return drive_of(row) if row[list(DRIVE_COLUMNS)].any() else None
 
 

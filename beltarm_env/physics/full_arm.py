@@ -15,7 +15,7 @@ A rigid belt (phi = theta_1) gives M11 + 2 M12 + M22 = G^2 M_a1 + M2(0) + S sin^
 at every angle. What the lumped arm does not have is M12, and an M22 that does not depend on the angle: behind a motor
 at rest, torsion turns link 2 about joint 2, by twice as much, and not the whole arm about joint 1.
 
-Behind a drive as it is built, theta_1 = theta_a / G + eps(theta_a), so that theta_1' = g omega_a and theta_1'' =
+Behind a real drive, theta_1 = theta_a / G + eps(theta_a), so that theta_1' = g omega_a and theta_1'' =
 g omega_a' + g' omega_a^2, with g = 1 / G + eps'. Then 1 / g takes the place of G, the motor's inertia M_a1 / g^2 meets
 theta_1'' - g' omega_a^2, and theta_1 - phi the place of theta_s.
 """

@@ -76,7 +76,7 @@ def tip_errors(states: Floats, references: Floats, plant: Plant, drive: Drive | 
         states: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (n, 4).
         references: Joint angle [rad] and speed [rad/s] of the reference, shape (n, 2).
         plant: Coefficients of the arm.
-        drive: Coefficients of its drive as it is built; None if it is ideal.
+        drive: Coefficients of its real drive; None if it is ideal.
     """
     errors = np.empty((len(states), 4))
     for i in range(len(states)):

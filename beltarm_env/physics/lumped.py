@@ -8,7 +8,7 @@ The state is x = [theta_a, omega_a, theta_s, omega_s] of eq. (6c). With phi = th
     M2(phi) = M2(0) + S sin^2(phi)
 
 The term with M2' is missing in the paper; without it the unforced, frictionless arm would not conserve energy. Coulomb
-friction tau_f is that of `friction`. Behind a drive as it is built (`drive`), tau_m has ripple on it, and 1 / G before
+friction tau_f is that of `friction`. Behind a real drive (`drive`), tau_m has ripple on it, and 1 / G before
 tau_b becomes g.
 """
 

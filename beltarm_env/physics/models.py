@@ -43,7 +43,7 @@ def accelerations(
         direction: Friction mode: -1 or +1 while the motor slides that way, 0 while it sticks.
         plant: Coefficients of the arm.
         model: Whose equations of motion.
-        drive: Coefficients of the drive as it is built; None for an ideal one.
+        drive: Coefficients of the real drive; None for an ideal one.
     """
     motor, torsional, _ = accelerations_at(x, angles_of(x, plant, drive), torque, direction, plant, model, drive)
     return motor, torsional

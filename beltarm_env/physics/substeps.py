@@ -1,7 +1,7 @@
 """Integration steps per control period: how many an arm needs, and which arms are too fast for any number allowed.
 
 The bound is the fastest eigenvalue of the linear model: belt mode, belt damping, or motor friction. What is refused
-counts the belt with its steepest stiffness, K_s (1 + 5/4 b); behind a drive as it is built, steps get shorter where
+counts the belt with its steepest stiffness, K_s (1 + 5/4 b); behind a real drive, steps get shorter where
 friction falls with the speed (`physics.step.needed_rate`).
 """
 

@@ -60,7 +60,7 @@ DRIVE_RANGES: Ranges = {
     "belt_stiffening": (0.0, 0.25),
     "friction_drift": (-0.15, 0.15),
 }
-"""Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/science/physics.md."""
+"""Ranges of the real drive, each drawn uniformly and independently; sources in docs/science/physics.md."""
 
 PART_MASS = (0.05, 0.5)
 """Range of the masses that an arm carries in the loaded moves of a shift [kg], see `task.shift`."""

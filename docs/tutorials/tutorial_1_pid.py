@@ -59,7 +59,7 @@ class Pid:
 
 
 # %%
-# ``rollout`` runs it on fifty arms as they are built, each with a move of its own. Lower cost is
+# ``rollout`` runs it on fifty randomized arms, each with a move of its own. Lower cost is
 # better. The controller of 1991 costs about 2000 on such arms, the best ones an eighth of that.
 
 

@@ -115,8 +115,8 @@ axes.grid(alpha=0.3, axis="x")
 # them:
 
 for name, controller in controllers.items():
-    built = rollout(controller, 30, seed=0, randomization="train")
-    print(f"{name:10} ideal {costs[name][0]:5.0f}   as it is built {np.median(built.cost):5.0f}")
+    real = rollout(controller, 30, seed=0, randomization="train")
+    print(f"{name:10} ideal {costs[name][0]:5.0f}   real {np.median(real.cost):5.0f}")
 
 # %%
 # :doc:`The plant </science/physics>` has the equations of each effect and where its size is from, and

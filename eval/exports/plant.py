@@ -1,6 +1,6 @@
 """One arm as kernels for a program of C: its constants in, its motion out, by the environment's own kernels.
 
-The arm is the lumped one, behind its drive as it is built.
+The arm is the lumped one, behind its real drive.
 """
 
 from typing import NamedTuple
@@ -142,10 +142,10 @@ def look(memory: Memory, torque: float, duration: float) -> None:
 def _measure(block: Floats, outputs: Floats) -> None:
     x, plant = load_state(block, at.STATE, 0), load_plant(block, 0)
     tip = tip_motion(x, plant, drive_among(block, 0, REAL))
-    driven = block[at.DRIVEN * LANES] > 0.0
+    real_drive = block[at.REAL_DRIVE * LANES] > 0.0
     commanded = block[at.ACTION * LANES] * plant.torque_limit
     count = to_counts(x.motor_angle, block[at.RESOLUTION * LANES])
     outputs[0], outputs[1], outputs[2], outputs[3] = x
     outputs[4], outputs[5] = tip.x, tip.y
-    outputs[6] = block[at.TORQUE * LANES] if driven else commanded
+    outputs[6] = block[at.TORQUE * LANES] if real_drive else commanded
     outputs[7] = min(max(count, -_MOST_COUNTS), _MOST_COUNTS)

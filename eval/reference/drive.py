@@ -1,4 +1,4 @@
-"""The drive as it is built, for the event-located solution: each effect as a function, and the commands on their way.
+"""The real drive, for the event-located solution: each effect as a function, and the commands on their way.
 
 Written from the equations, apart from `beltarm_env.physics`, which it checks. Angles and speeds are the motor's.
 """

@@ -35,7 +35,7 @@ from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN, plant_of
-from beltarm_env.physics.drive import built_drive
+from beltarm_env.physics.drive import real_drive_of
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -87,7 +87,7 @@ class Law:
             arms.set_table(table, np.full(count, float(k)))
             now = arms.advance(now, torques[k])
             states[k] = now
-        plant, drive = plant_of(self.row), built_drive(self.row)
+        plant, drive = plant_of(self.row), real_drive_of(self.row)
         for i in range(count):
             errors = tip_errors(np.ascontiguousarray(states[:, i, :4]), self.task, plant, drive)
             position, velocity = np.hypot(*errors.T[:2]) / POSITION_SCALE, np.hypot(*errors.T[2:]) / VELOCITY_SCALE

@@ -28,7 +28,7 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
 
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
-DRIVEN = replace(design_model(), coulomb_friction=0.0)
+REAL_DRIVE = replace(design_model(), coulomb_friction=0.0)
 untuned: Callable[[str], Any] = cache(lambda name: TUNABLE[name]())
 usual: Callable[[str], Any] = cache(lambda name: CONTROLLERS[name]())
 STEPS = 500
@@ -98,7 +98,7 @@ def responses(name: str, controller: Any, places: tuple[int, ...], pulse: float)
 )
 def test_a_controller_responds_to_a_pulse_as_its_linear_loop(name: str, latency: float | None, places: tuple[int, ...]):
     """Its own `predict`, in closed loop with the environment's arm, ideal and behind a drive."""
-    params = FRICTIONLESS if latency is None else replace(DRIVEN, command_latency=latency * CONTROL_PERIOD)
+    params = FRICTIONLESS if latency is None else replace(REAL_DRIVE, command_latency=latency * CONTROL_PERIOD)
     controller, pulse = frictionless(name, params), 1e-6
     for k, motion in zip(places, responses(name, controller, places, pulse).T, strict=True):
         law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))

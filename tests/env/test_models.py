@@ -59,7 +59,7 @@ class TestEquations:
         self, model: Model, ranges: Any, drive: Any, state: tuple[float, ...], torque: float, direction: float
     ):
         params = ArmParams(**drive, **ranges)
-        plant, built = params.plant(), drives.built_drive(params.row())
+        plant, built = params.plant(), drives.real_drive_of(params.row())
         x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
         at = drives.angles_of(x, plant, built)
         arm = EventLocatedArm(params, np.array(x), "lumped" if model is LUMPED else "lagrangian")

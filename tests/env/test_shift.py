@@ -148,7 +148,7 @@ class TestDraws:
         assert next_drift(0.1, 0.5) == 0.5
         env.reset(seed=0, options={"params": {"friction_drift": 0.0}})
         for k in range(EPISODE_STEPS + 1):
-            assert env._batch.driven is (None if k < EPISODE_STEPS else True)
+            assert env._batch.real_drive is (None if k < EPISODE_STEPS else True)
             env.step(np.full(1, 0.01, np.float32))
             assert env.motor_torque == pytest.approx(0.003)
 

@@ -26,7 +26,7 @@ ARMS = 700  # six blocks
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch):
     """However few the blocks, all threads are used."""
-    for least in ("LEAST_BLOCKS", "LEAST_SELDOM_BLOCKS", "LEAST_BUILT_BLOCKS"):
+    for least in ("LEAST_BLOCKS", "LEAST_SELDOM_BLOCKS", "LEAST_REAL_BLOCKS"):
         monkeypatch.setattr(blocks, least, 1)
 
 

@@ -1,6 +1,6 @@
 """Classical controllers in numbers: margins, costs, limits, times and tuning of each.
 
-Poles and margins of the closed loop over joint angle and arms; cost and metrics on arms as they are built; cost with
+Poles and margins of the closed loop over joint angle and arms; cost and metrics on randomized arms; cost with
 one thing changed; gains and their tuning.
 """
 

@@ -1,4 +1,4 @@
-"""Costs of every controller: on arms as they are built, and with one thing changed.
+"""Costs of every controller: on randomized arms, and with one thing changed.
 
 Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits.
 """
@@ -78,7 +78,7 @@ CHANGES = (
 )
 """Changes of the design model with its drive."""
 LIMITS = (_latency(f"{_MOST + 0.5:g} samples", _MOST + 0.5), *_TORQUE_CONSTANT)
-"""Changes of arms as they are built: latency half a sample and torque constants beyond their training ranges."""
+"""Changes of randomized arms: latency half a sample and torque constants beyond their training ranges."""
 
 SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 
@@ -99,18 +99,18 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
 
 
 def measure_costs(make: Maker, arms: int, moves: int) -> dict[str, Any]:
-    """Run a controller on `arms` as they are built and on `moves` of the design model, changed and not."""
-    design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
-    as_designed, as_built = run_arms(make, design), run_arms(make, built)
-    metrics = as_built.metrics()
+    """Run a controller on `arms` randomized ones and on `moves` of the design model, changed and not."""
+    design, randomized = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
+    as_designed, as_randomized = run_arms(make, design), run_arms(make, randomized)
+    metrics = as_randomized.metrics()
     return {
         "mean": metrics["cost"].mean(),
         "worst": worst_mean(metrics["cost"]),
-        "left": int((~as_built.finished).sum()),
+        "left": int((~as_randomized.finished).sum()),
         "metrics": {name: estimate(metrics[name][None]) for name in (*SHOWN_METRICS, *TORQUES)},
         "design": interquartile_mean(as_designed.cost),
         "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
-        "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
+        "limits": [_effect(make, randomized, change, as_randomized.cost) for change in LIMITS],
     }
 
 

@@ -29,7 +29,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 
 STATES = ("motor_angle", "motor_speed", "torsion", "torsion_speed")
 REFERENCES = {variable.name: variable.reference for variable in variables(ArmParams())}
-DRIVEN = [ArmParams(**arm, presliding_deflection=0.003 * k) for k, arm in enumerate(drawn_arms(2, seed=5))]
+REAL_DRIVE = [ArmParams(**arm, presliding_deflection=0.003 * k) for k, arm in enumerate(drawn_arms(2, seed=5))]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_its_description_is_as_the_standard_has_it(path: Path):
     assert texts == fmu_texts(ArmParams(payload_mass=0.5)) and "0.5, /* payload_mass */" in texts["sources/fmu.c"]
 
 
-@pytest.mark.parametrize("params", [ArmParams(), ArmParams(belt_stiffness=3e4), *DRIVEN])
+@pytest.mark.parametrize("params", [ArmParams(), ArmParams(belt_stiffness=3e4), *REAL_DRIVE])
 def test_it_moves_as_the_environment_does(unpacked: tuple[Path, Any], params: ArmParams):
     env = BeltArmEnv(randomization="off")
     env.reset(seed=0, options={"params": asdict(params), "move": {"start": 0.5, "goal": 1.0}})
@@ -123,7 +123,7 @@ TICK = 2.0**-12
 """Length of which times are sums without rounding [s]; a period is no multiple of it."""
 
 
-@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
+@pytest.mark.parametrize("params", [ArmParams(), *REAL_DRIVE])
 def test_motion_does_not_depend_on_how_time_is_divided(unpacked: tuple[Path, Any], params: ArmParams):
     """Capability canHandleVariableCommunicationStepSize: the torque is held, so all ends are the same, to the bit."""
     ends, torque = [], 0.9 * params.torque_limit
@@ -141,7 +141,7 @@ def test_motion_does_not_depend_on_how_time_is_divided(unpacked: tuple[Path, Any
     assert ends[0][0][0] > 0 and all(end == ends[0] for end in ends) and ended == ends[0][2]
 
 
-@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
+@pytest.mark.parametrize("params", [ArmParams(), *REAL_DRIVE])
 def test_a_torque_is_sampled_where_periods_begin(unpacked: tuple[Path, Any], params: ArmParams):
     """A torque that is set within a period waits for the next; one that is gone by then does nothing."""
     simulation, period = ArmSimulation(replace(params, friction_drift=0.0)), CONTROL_PERIOD
@@ -173,7 +173,7 @@ def test_states_within_a_period_are_those_of_the_equations(unpacked: tuple[Path,
 def test_a_state_within_a_period_can_be_kept_and_reset(unpacked: tuple[Path, Any]):
     """Capabilities canGetAndSetFMUstate and canSerializeFMUstate, and two instances that do not know each other."""
     with running(unpacked) as slave, running(unpacked) as other:
-        slave.begin(DRIVEN[1])
+        slave.begin(REAL_DRIVE[1])
         slave.step(0.0, 0.2, 0.0202)
         kept = slave.fmu.serializeFMUState(slave.fmu.getFMUState())
         seen = slave.read(*STATES)
