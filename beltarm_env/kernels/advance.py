@@ -28,7 +28,7 @@ from beltarm_env.kernels.pieces import AFTER, BEFORE, PIECE_ROWS, SUSPECT, WHOLE
 from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.events import stays_in_mode
 from beltarm_env.physics.friction import mode_of_giving
-from beltarm_env.physics.models import Model
+from beltarm_env.physics.models import Arm, Model
 from beltarm_env.physics.step import needed_rate, rk4_step, step_length
 from beltarm_env.physics.torque import steady, torques_of_two
 from beltarm_env.timing import CONTROL_PERIOD
@@ -140,24 +140,25 @@ def _take_whole_step(
             low, high = (before, after) if before < after else (after, before)
             low, high = torque if torque < low else low, torque if torque > high else high
             deflection = block[at.DEFLECTION * LANES + j]
-        x, plant, drive = load_state(block, at.STATE, j), load_plant(block, j), drive_among(block, j, real_drive)
+        x, drive = load_state(block, at.STATE, j), drive_among(block, j, real_drive)
+        arm = Arm(load_plant(block, j), drive, model)
         direction = 1.0 if x.motor_speed > 0.0 else (-1.0 if x.motor_speed < 0.0 else 0.0)
         if drive is not None:
             direction = mode_of_giving(deflection) if drive.spring > 0.0 else direction
-        angles = angles_of(x, plant, drive, deflection)
-        needed = needed_rate(x, angles, torque, high - low, direction, plant, drive)
+        angles = angles_of(x, arm.plant, drive, deflection)
+        needed = needed_rate(x, angles, torque, high - low, direction, arm)
         _, steps = step_length(CONTROL_PERIOD, needed, block[at.SUBSTEPS * LANES + j])
-        step = rk4_step(x, angles, torques, direction, CONTROL_PERIOD, plant, drive, model)
-        stays = stays_in_mode(x, angles, step, direction, CONTROL_PERIOD, low, high, plant, drive)
+        step = rk4_step(x, angles, torques, direction, CONTROL_PERIOD, arm)
+        stays = stays_in_mode(step, low, high, arm)
         whole = stays & (steps == 1.0)
         work[BEFORE * LANES + j] = before
         work[AFTER * LANES + j] = after
         work[SUSPECT * LANES + j] = 0.0 if stays else 1.0
         if drive is not None:
             whole = whole | (block[at.REAL_DRIVE * LANES + j] == 0.0)
-            gave = step.state.motor_angle - x.motor_angle if direction == 0.0 else 0.0
+            gave = step.end.motor_angle - x.motor_angle if direction == 0.0 else 0.0
             moved = (drive.spring > 0.0) & whole
             block[at.TORQUE * LANES + j] = torques.end if whole else torque
             block[at.DEFLECTION * LANES + j] = deflection + gave if moved else deflection
         work[WHOLE * LANES + j] = 1.0 if whole else 0.0
-        store_state(block, at.STATE, j, either(whole, step.state, x))
+        store_state(block, at.STATE, j, either(whole, step.end, x))

@@ -29,7 +29,7 @@ from beltarm_env.kernels.layout import (
 from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.events import Margin, leaves_mode, margin_of, stays_in_mode
 from beltarm_env.physics.friction import SLIPS, breakaway_torque, mode_of_giving
-from beltarm_env.physics.models import Model, sliding_direction_at
+from beltarm_env.physics.models import Arm, Model, sliding_direction_at
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.step import ROUNDING, needed_rate, rk4_step, step_length
 from beltarm_env.physics.torque import Lag, lag_left, shares_of_two, steady, torques_of_two
@@ -154,6 +154,7 @@ def _step(work: Floats, count: int, model: Model, real_drive: RealDrive) -> None
     for j in range(count):
         x = load_state(work, at.STATE, j)
         plant, drive = load_plant(work, j), drive_among(work, j, real_drive)
+        arm = Arm(plant, drive, model)
         until, since = work[_UNTIL * LANES + j], work[_SINCE * LANES + j]
         after, begun = work[AFTER * LANES + j], work[_DIRECTION * LANES + j]
         asked, to_exit = work[_ENDS * LANES + j] == _ASKED, work[_ENDS * LANES + j] == _AT_EXIT
@@ -167,7 +168,7 @@ def _step(work: Floats, count: int, model: Model, real_drive: RealDrive) -> None
             torque = work[_TORQUE * LANES + j] if rate > 0.0 else target
             deflection, gives = work[_DEFLECTION * LANES + j], drive.spring > 0.0
         angles = angles_of(x, plant, drive, deflection)
-        at_first = sliding_direction_at(x, angles, torque, plant, model, drive)
+        at_first = sliding_direction_at(x, angles, torque, arm)
         direction = at_first if begun == _UNKNOWN else begun
         if drive is not None:
             stuck_at = breakaway_torque(angles, plant, drive) / (drive.spring if gives else 1.0)
@@ -177,19 +178,19 @@ def _step(work: Floats, count: int, model: Model, real_drive: RealDrive) -> None
         low, high = (torque, target) if torque < target else (target, torque)
         coming = after if waits & (not suspect) else target
         low, high = coming if coming < low else low, coming if coming > high else high
-        needed = needed_rate(x, angles, torque, high - low, direction, plant, drive)
+        needed = needed_rate(x, angles, torque, high - low, direction, arm)
         longest, steps = step_length(horizon, needed, work[_SUBSTEPS * LANES + j])
         dt = longest if asked else work[_DT * LANES + j]
         torques = steady(after)
         if drive is not None:
             by_before, by_after = shares_of_two(dt, until if until < dt else dt, time, rate)
             torques = torques_of_two(torque, target, after, by_before, by_after)
-        step = rk4_step(x, angles, torques, direction, dt, plant, drive, model)
-        y = step.state
-        stays = stays_in_mode(x, angles, step, direction, dt, low, high, plant, drive)
+        step = rk4_step(x, angles, torques, direction, dt, arm)
+        y = step.end
+        stays = stays_in_mode(step, low, high, arm)
         arrives = waits & (until < dt)
         lag = Lag(target, torque - target, time, rate)
-        margin, side = margin_of(x, angles, step, torques, lag, direction, dt, plant, drive, model)
+        margin, side = margin_of(step, lag, arm)
         unsure, slid = (not stays) & arrives & asked, direction != 0.0
         leaves = (not stays) & (not arrives) & asked & leaves_mode(margin, lag_left(lag, torques), slid)
         keeps = leaves | unsure

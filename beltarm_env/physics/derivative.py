@@ -11,15 +11,14 @@ from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import SMALLEST_DEFLECTION, Drive, real_drive_of
-from beltarm_env.physics.models import Model, accelerations, model_of, sliding_direction
+from beltarm_env.physics.models import Arm, accelerations, model_of, sliding_direction
 from beltarm_env.physics.state import ArmState
 
 
 @compiled
-def _derivative(x: Floats, torque: float, plant: Plant, drive: Drive | None, model: Model) -> Floats:
+def _derivative(x: Floats, torque: float, arm: Arm) -> Floats:
     state = ArmState(x[0], x[1], x[2], x[3])
-    direction = sliding_direction(state, torque, plant, model, drive)
-    motor, torsional = accelerations(state, torque, direction, plant, model, drive)
+    motor, torsional = accelerations(state, torque, sliding_direction(state, torque, arm), arm)
     slope = np.empty(4)
     slope[0], slope[1], slope[2], slope[3] = state.motor_speed, motor, state.torsion_speed, torsional
     return slope
@@ -60,4 +59,4 @@ def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str 
     state = np.ascontiguousarray(x, np.float64)
     if state.shape != (4,):
         raise ValueError(f"x must have shape (4,), got {state.shape}")
-    return _derivative(state, float(torque), *_coefficients(params), equations)
+    return _derivative(state, float(torque), Arm(*_coefficients(params), equations))

@@ -15,10 +15,9 @@ from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, decay, near
 from beltarm_env.physics.friction import breakaway_torque
-from beltarm_env.physics.models import Model, driving_torque_at, driving_torque_rate_at
-from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.models import Arm, driving_torque_at, driving_torque_rate_at
 from beltarm_env.physics.step import Step
-from beltarm_env.physics.torque import Lag, Stages, lag_left
+from beltarm_env.physics.torque import Lag, lag_left
 
 EXIT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
 CLOSE = 1e-13
@@ -30,8 +29,9 @@ _CURVED = 0.02  # of the breakaway torque, by which it and the pull may change b
 
 
 @inlined
-def after(x: ArmState, at: Angles, y: ArmState, plant: Plant, drive: Drive | None) -> Angles:
-    """Return what torques depend on in a state y near x, of a motor that hardly moved."""
+def after(step: Step, arm: Arm) -> Angles:
+    """Return what torques depend on at the end of a step of a motor that hardly moved."""
+    x, at, y, (plant, drive, _) = step.begin, step.at, step.end, arm
     motor = y.motor_angle - x.motor_angle
     sin_phi, cos_phi = near(at.sin_phi, at.cos_phi, motor * plant.inverse_gear - (y.torsion - x.torsion))
     if drive is None:
@@ -41,17 +41,7 @@ def after(x: ArmState, at: Angles, y: ArmState, plant: Plant, drive: Drive | Non
 
 
 @inlined
-def stays_in_mode(
-    x: ArmState,
-    at: Angles,
-    step: Step,
-    direction: float,
-    dt: float,
-    low: float,
-    high: float,
-    plant: Plant,
-    drive: Drive | None,
-) -> bool:
+def stays_in_mode(step: Step, low: float, high: float, arm: Arm) -> bool:
     """Tell that the motor stops or breaks away nowhere within a step; False where that is not sure.
 
     The speed of a motor that slides lies above the lines from both ends with its lowest and highest acceleration; where
@@ -60,17 +50,13 @@ def stays_in_mode(
     step's ends by dt^2 / 8 of its acceleration at most.
 
     Args:
-        x: State.
-        at: What its torques depend on.
-        step: From there.
-        direction: Friction mode.
-        dt: Length of the step [s].
+        step: The step.
         low: Lowest torque of the motor within it [N m].
         high: Highest.
-        plant: Coefficients of the arm.
-        drive: Coefficients of its drive; None for an ideal one.
+        arm: What moves.
     """
-    y, slack = step.state, _SLACK * (step.highest - step.lowest + step.by_torque * (high - low))
+    x, at, direction, dt, (plant, drive, _) = step.begin, step.at, step.direction, step.dt, arm
+    y, slack = step.end, _SLACK * (step.highest - step.lowest + step.by_torque * (high - low))
     lowest = step.lowest + step.by_torque * low - slack
     highest = step.highest + step.by_torque * high + slack
     slowing, gaining = (lowest, highest) if direction > 0.0 else (-highest, -lowest)
@@ -114,22 +100,21 @@ def _hermite(start: float, slope: float, finish: float, last_slope: float, ampli
 
 
 @inlined
-def sliding_margin(
-    x: ArmState, step: Step, torques: Stages, lag: Lag, direction: float, dt: float, plant: Plant
-) -> Margin:
+def sliding_margin(step: Step, lag: Lag, plant: Plant) -> Margin:
     """Return the margin of a motor that slides: its speed.
 
     It follows the lag as q e^(-t / T_i), with the q that the excess causes by itself, viscous friction included; what
     is left of it is smooth.
     """
-    by_torque, decayed = step.by_torque, lag_left(lag, torques)
+    torques, direction, dt, by_torque = step.torques, step.direction, step.dt, step.by_torque
+    decayed = lag_left(lag, torques)
     q = -lag.excess * lag.time * by_torque * (1 + plant.viscous_friction * by_torque * lag.time)
     at_start = step.first.motor_speed + by_torque * (lag.target + lag.excess - torques.first) + q * lag.rate
     at_end = step.last.motor_speed + by_torque * (torques.end - torques.fourth) + q * lag.rate * decayed
     return _hermite(
-        direction * (x.motor_speed - q),
+        direction * (step.begin.motor_speed - q),
         dt * direction * at_start,
-        direction * (step.state.motor_speed - q * decayed),
+        direction * (step.end.motor_speed - q * decayed),
         dt * direction * at_end,
         direction * q,
         lag.rate * dt,
@@ -137,29 +122,16 @@ def sliding_margin(
 
 
 @inlined
-def sticking_margin(
-    x: ArmState,
-    at: Angles,
-    step: Step,
-    torques: Stages,
-    lag: Lag,
-    dt: float,
-    plant: Plant,
-    drive: Drive | None,
-    model: Model,
-) -> tuple[Margin, float]:
+def sticking_margin(step: Step, lag: Lag, arm: Arm) -> tuple[Margin, float]:
     """Return the margin of a motor that sticks, what is left of the pull, and the side to which it breaks away."""
-    most, following, decayed = (
-        breakaway_torque(at, plant, drive),
-        after(x, at, step.state, plant, drive),
-        lag_left(lag, torques),
-    )
-    pull = driving_torque_at(x, at, lag.target, plant, model, drive)
-    pull_after = driving_torque_at(step.state, following, lag.target, plant, model, drive)
+    x, at, y, dt = step.begin, step.at, step.end, step.dt
+    most, following, decayed = breakaway_torque(at, arm.plant, arm.drive), after(step, arm), lag_left(lag, step.torques)
+    pull = driving_torque_at(x, at, lag.target, arm)
+    pull_after = driving_torque_at(y, following, lag.target, arm)
     end, middle = pull_after + lag.excess * decayed, 0.5 * (pull + pull_after) + lag.excess * 0.5
     side = 1.0 if (end if abs(end) >= most else middle) > 0.0 else -1.0
-    start_rate = driving_torque_rate_at(x, at, step.first.torsion_speed, plant, model, drive)
-    end_rate = driving_torque_rate_at(step.state, following, step.last.torsion_speed, plant, model, drive)
+    start_rate = driving_torque_rate_at(x, at, step.first.torsion_speed, arm)
+    end_rate = driving_torque_rate_at(y, following, step.last.torsion_speed, arm)
     slope, last_slope = -side * dt * start_rate, -side * dt * end_rate
     margin = _hermite(
         most - side * pull, slope, most - side * pull_after, last_slope, -side * lag.excess, lag.rate * dt
@@ -168,15 +140,13 @@ def sticking_margin(
 
 
 @inlined
-def giving_margin(
-    x: ArmState, at: Angles, step: Step, torques: Stages, lag: Lag, dt: float, plant: Plant, drive: Drive
-) -> tuple[Margin, float]:
+def giving_margin(step: Step, lag: Lag, arm: Arm, drive: Drive) -> tuple[Margin, float]:
     """Return the margin of a motor that sticks and gives, what is left of the spring's torque, and the side.
 
     The deflection follows the lag as p e^(-t / T_i), p = by_torque excess T_i^2.
     """
-    y, decayed = step.state, lag_left(lag, torques)
-    following = after(x, at, y, plant, drive)
+    x, at, y, dt, plant = step.begin, step.at, step.end, step.dt, arm.plant
+    decayed, following = lag_left(lag, step.torques), after(step, arm)
     z = at.deflection + (y.motor_angle - x.motor_angle)
     side = 1.0 if z + 0.5 * dt * y.motor_speed > 0.0 else -1.0
     spring, p = side * drive.spring, lag.excess * step.by_torque * lag.time * lag.time
@@ -192,26 +162,15 @@ def giving_margin(
 
 
 @inlined
-def margin_of(
-    x: ArmState,
-    at: Angles,
-    step: Step,
-    torques: Stages,
-    lag: Lag,
-    direction: float,
-    dt: float,
-    plant: Plant,
-    drive: Drive | None,
-    model: Model,
-) -> tuple[Margin, float]:
+def margin_of(step: Step, lag: Lag, arm: Arm) -> tuple[Margin, float]:
     """Return the margin over a step, and the side (-1, +1) to which a motor that sticks would break away."""
-    sliding = sliding_margin(x, step, torques, lag, direction, dt, plant)
-    sticking, side = sticking_margin(x, at, step, torques, lag, dt, plant, drive, model)
+    drive, sliding = arm.drive, sliding_margin(step, lag, arm.plant)
+    sticking, side = sticking_margin(step, lag, arm)
     if drive is not None:
-        giving, side_of_giving = giving_margin(x, at, step, torques, lag, dt, plant, drive)
+        giving, side_of_giving = giving_margin(step, lag, arm, drive)
         sticking = either_margin(drive.spring > 0.0, giving, sticking)
         side = side_of_giving if drive.spring > 0.0 else side
-    return either_margin(direction != 0.0, sliding, sticking), side
+    return either_margin(step.direction != 0.0, sliding, sticking), side
 
 
 @inlined

@@ -6,7 +6,7 @@ that is used. Types of a call tell None and True apart, hence the values: `model
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
@@ -31,32 +31,33 @@ def model_of(name: object, names: tuple[str, ...] = tuple(MODELS)) -> Model:
     return MODELS[name]
 
 
+class Arm(NamedTuple):
+    """An arm that moves: its coefficients, and whose equations of motion."""
+
+    plant: Plant
+    drive: Drive | None  # of its real drive; None for an ideal one
+    model: Model
+
+
 @inlined
-def accelerations(
-    x: ArmState, torque: float, direction: float, plant: Plant, model: Model, drive: Drive | None = None
-) -> tuple[float, float]:
+def accelerations(x: ArmState, torque: float, direction: float, arm: Arm) -> tuple[float, float]:
     """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2].
 
     Args:
         x: State, eq. (6c).
         torque: Motor torque tau_m [N m].
         direction: Friction mode: -1 or +1 while the motor slides that way, 0 while it sticks.
-        plant: Coefficients of the arm.
-        model: Whose equations of motion.
-        drive: Coefficients of the real drive; None for an ideal one.
+        arm: What moves.
     """
-    motor, torsional, _ = accelerations_at(x, angles_of(x, plant, drive), torque, direction, plant, model, drive)
+    motor, torsional, _ = accelerations_at(x, angles_of(x, arm.plant, arm.drive), torque, direction, arm)
     return motor, torsional
 
 
 @inlined
-def accelerations_at(
-    x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, model: Model, drive: Drive | None
-) -> tuple[float, float, float]:
+def accelerations_at(x: ArmState, at: Angles, torque: float, direction: float, arm: Arm) -> tuple[float, float, float]:
     """Return `accelerations` of a state whose sines and cosines are known, and that of a motor that nothing holds."""
-    if model is LUMPED:
-        return lumped.accelerations(x, at, torque, direction, plant, drive)
-    return full_arm.accelerations(x, at, torque, direction, plant, drive)
+    equations = lumped if arm.model is LUMPED else full_arm
+    return equations.accelerations(x, at, torque, direction, arm.plant, arm.drive)
 
 
 @inlined
@@ -74,44 +75,38 @@ def torsional_mobility(joint: float, mutual: float, arm: float) -> float:
 
 
 @inlined
-def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive | None, model: Model) -> float:
+def acceleration_per_torque(at: Angles, arm: Arm) -> float:
     """Return by how much a motor that slides accelerates per torque [rad/s^2 per N m], as `accelerations_at` has it.
 
     Exactly so: with another number a motor that breaks away would at once be found to stop again.
     """
-    if model is LUMPED:
-        return plant.inverse_motor_inertia
-    return full_arm.acceleration_per_torque(at, plant, drive)
+    if arm.model is LUMPED:
+        return arm.plant.inverse_motor_inertia
+    return full_arm.acceleration_per_torque(at, arm.plant, arm.drive)
 
 
 @inlined
-def driving_torque_at(x: ArmState, at: Angles, torque: float, plant: Plant, model: Model, drive: Drive | None) -> float:
+def driving_torque_at(x: ArmState, at: Angles, torque: float, arm: Arm) -> float:
     """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
-    if model is LUMPED:
-        return lumped.driving_torque(x, at, torque, plant, drive)
-    return full_arm.driving_torque(x, at, torque, plant, drive)
+    equations = lumped if arm.model is LUMPED else full_arm
+    return equations.driving_torque(x, at, torque, arm.plant, arm.drive)
 
 
 @inlined
-def driving_torque_rate_at(
-    x: ArmState, at: Angles, torsional: float, plant: Plant, model: Model, drive: Drive | None
-) -> float:
+def driving_torque_rate_at(x: ArmState, at: Angles, torsional: float, arm: Arm) -> float:
     """Return the time derivative of `driving_torque_at` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
-    if model is LUMPED:
-        return lumped.driving_torque_rate(x, at, torsional, plant, drive)
-    return full_arm.driving_torque_rate(x, at, torsional, plant, drive)
+    equations = lumped if arm.model is LUMPED else full_arm
+    return equations.driving_torque_rate(x, at, torsional, arm.plant, arm.drive)
 
 
 @inlined
-def sliding_direction(x: ArmState, torque: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
+def sliding_direction(x: ArmState, torque: float, arm: Arm) -> float:
     """Return the friction mode of a state under a torque [N m]: -1 or +1 if the motor slides, 0 if it sticks."""
-    return sliding_direction_at(x, angles_of(x, plant, drive), torque, plant, model, drive)
+    return sliding_direction_at(x, angles_of(x, arm.plant, arm.drive), torque, arm)
 
 
 @inlined
-def sliding_direction_at(
-    x: ArmState, at: Angles, torque: float, plant: Plant, model: Model, drive: Drive | None
-) -> float:
+def sliding_direction_at(x: ArmState, at: Angles, torque: float, arm: Arm) -> float:
     """Return `sliding_direction` of a state whose sines and cosines are known."""
-    pull = driving_torque_at(x, at, torque, plant, model, drive)
-    return friction.sliding_direction(x.motor_speed, pull, friction.breakaway_torque(at, plant, drive))
+    pull = driving_torque_at(x, at, torque, arm)
+    return friction.sliding_direction(x.motor_speed, pull, friction.breakaway_torque(at, arm.plant, arm.drive))

@@ -19,12 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from beltarm_env.arm import Plant
 from beltarm_env.engine import inlined
-from beltarm_env.physics.drive import Angles, Drive, near, nearer, turned
+from beltarm_env.physics.drive import Angles, near, nearer, turned
 from beltarm_env.physics.friction import free_motor
 from beltarm_env.physics.models import (
-    Model,
+    Arm,
     acceleration_per_torque,
     accelerations_at,
     inverse_inertia,
@@ -47,9 +46,14 @@ SPRING_TURN = 0.2
 
 
 class Step(NamedTuple):
-    """Outcome of a step within one friction mode."""
+    """A step within one friction mode."""
 
-    state: ArmState
+    begin: ArmState
+    at: Angles  # what torques depend on, there
+    torques: Stages
+    direction: float  # friction mode
+    dt: float  # its length [s]
+    end: ArmState
     first: ArmState  # slope of the first stage
     last: ArmState
     lowest: float  # acceleration in the step of a motor that nothing holds, without that by its torque [rad/s^2]
@@ -80,11 +84,9 @@ def weighted(k1: ArmState, k2: ArmState, k3: ArmState, k4: ArmState) -> ArmState
 
 
 @inlined
-def _slope(
-    x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, drive: Drive | None, model: Model
-) -> tuple[ArmState, float]:
+def _slope(x: ArmState, at: Angles, torque: float, direction: float, arm: Arm) -> tuple[ArmState, float]:
     """Return dx/dt under a motor torque [N m], and the acceleration of a motor that nothing holds [rad/s^2]."""
-    motor, torsional, loose = accelerations_at(x, at, torque, direction, plant, model, drive)
+    motor, torsional, loose = accelerations_at(x, at, torque, direction, arm)
     return ArmState(x.motor_speed, motor, x.torsion_speed, torsional), loose
 
 
@@ -142,9 +144,9 @@ def _fitted(at: Angles, by_double: float, by_ripple: float) -> Angles:
 
 
 @inlined
-def _seen(x: ArmState, base: Base, ahead: float, faster: float, plant: Plant, drive: Drive | None) -> Angles:
+def _seen(x: ArmState, base: Base, ahead: float, faster: float, arm: Arm) -> Angles:
     """Return what a stage sees near a base, its motor ahead of x by an angle [rad] and faster by a speed [rad/s]."""
-    phi = x.motor_angle * plant.inverse_gear - x.torsion
+    drive, phi = arm.drive, x.motor_angle * arm.plant.inverse_gear - x.torsion
     sin_phi, cos_phi = near(base.at.sin_phi, base.at.cos_phi, phi - base.phi)
     if drive is None:
         return Angles(sin_phi, cos_phi, 0.0, 0.0, 0.0, 0.0, x.motor_speed, 0.0)
@@ -157,16 +159,7 @@ def _seen(x: ArmState, base: Base, ahead: float, faster: float, plant: Plant, dr
 
 
 @inlined
-def rk4_step(
-    x: ArmState,
-    at: Angles,
-    torques: Stages,
-    direction: float,
-    dt: float,
-    plant: Plant,
-    drive: Drive | None,
-    model: Model,
-) -> Step:
+def rk4_step(x: ArmState, at: Angles, torques: Stages, direction: float, dt: float, arm: Arm) -> Step:
     """Take a step of `dt` seconds within one friction mode.
 
     Args:
@@ -175,12 +168,11 @@ def rk4_step(
         torques: Of the stages.
         direction: Friction mode.
         dt: Length of the step [s].
-        plant: Coefficients of the arm.
-        drive: Coefficients of its drive; None for an ideal one.
-        model: Whose equations of motion.
+        arm: What moves.
     """
+    plant, drive, model = arm
     phi = x.motor_angle * plant.inverse_gear - x.torsion
-    by_torque = acceleration_per_torque(at, plant, drive, model)
+    by_torque = acceleration_per_torque(at, arm)
     begin, middle, end = at, Base(x.motor_angle, phi, 0.0, at), Base(x.motor_angle, phi, 0.0, at)
     ahead, ahead_at_end, bends, faster, faster_in_third, faster_at_end = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if drive is not None:
@@ -204,17 +196,17 @@ def rk4_step(
         mean = (torques.first + 2 * torques.second + 2 * torques.third + torques.fourth) * (1 / 6)
         faster_at_end = per_torque * (mean - torques.third)
         bends = ripple.bend
-    k1, a1 = _slope(x, begin, torques.first, direction, plant, drive, model)
+    k1, a1 = _slope(x, begin, torques.first, direction, arm)
     bend = 0.125 * dt * dt * k1.motor_speed
     x2 = moved(x, 0.5 * dt, k1)
-    seen = _seen(x2, middle, ahead + (bends + 1) * bend, faster, plant, drive)
-    k2, a2 = _slope(x2, seen, torques.second, direction, plant, drive, model)
+    seen = _seen(x2, middle, ahead + (bends + 1) * bend, faster, arm)
+    k2, a2 = _slope(x2, seen, torques.second, direction, arm)
     x3 = moved(x, 0.5 * dt, k2)
-    seen = _seen(x3, middle, ahead + (bends - 1) * bend, faster_in_third, plant, drive)
-    k3, a3 = _slope(x3, seen, torques.third, direction, plant, drive, model)
+    seen = _seen(x3, middle, ahead + (bends - 1) * bend, faster_in_third, arm)
+    k3, a3 = _slope(x3, seen, torques.third, direction, arm)
     x4 = moved(x, dt, k3)
-    seen = _seen(x4, end, ahead_at_end, faster_at_end, plant, drive)
-    k4, a4 = _slope(x4, seen, torques.fourth, direction, plant, drive, model)
+    seen = _seen(x4, end, ahead_at_end, faster_at_end, arm)
+    k4, a4 = _slope(x4, seen, torques.fourth, direction, arm)
     y = moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
     if drive is not None:
         w11, w12, w22 = inverse_inertia(at.cos_phi, plant, model)
@@ -232,13 +224,11 @@ def rk4_step(
     early_high, late_high = (a1 if a1 > a2 else a2), (a3 if a3 > a4 else a4)
     lowest = early_low if early_low < late_low else late_low
     highest = early_high if early_high > late_high else late_high
-    return Step(y, k1, k4, lowest, highest, by_torque)
+    return Step(x, at, torques, direction, dt, y, k1, k4, lowest, highest, by_torque)
 
 
 @inlined
-def needed_rate(
-    x: ArmState, at: Angles, torque: float, change: float, direction: float, plant: Plant, drive: Drive | None
-) -> float:
+def needed_rate(x: ArmState, at: Angles, torque: float, change: float, direction: float, arm: Arm) -> float:
     """Return the steps per second that a real drive's effects have to be resolved with [1/s].
 
     At most 3.3 rad of ripple and half a radian of the motor per step; a step for each 0.8 rad by which a change of the
@@ -252,9 +242,9 @@ def needed_rate(
         torque: Of the motor [N m].
         change: By how much it may change within the step [N m].
         direction: Friction mode.
-        plant: Coefficients of the arm.
-        drive: Coefficients of its drive; None for an ideal one.
+        arm: What moves.
     """
+    plant, drive, _ = arm
     if drive is None:
         return 0.0
     speed, sliding = abs(x.motor_speed), direction * direction

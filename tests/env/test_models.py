@@ -59,18 +59,19 @@ class TestEquations:
         self, model: Model, ranges: Any, drive: Any, state: tuple[float, ...], torque: float, direction: float
     ):
         params = ArmParams(**drive, **ranges)
-        plant, built = params.plant(), drives.real_drive_of(params.row())
+        plant, drive_there = params.plant(), drives.real_drive_of(params.row())
+        moving = models.Arm(plant, drive_there, model)
         x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
-        at = drives.angles_of(x, plant, built)
+        at = drives.angles_of(x, plant, drive_there)
         arm = EventLocatedArm(params, np.array(x), "lumped" if model is LUMPED else "lagrangian")
         level = arm.dry_friction(arm._y)
         (_, _, alpha, phi), holding = arm.rates(torque, direction * level if direction else None)
-        accelerations = models.accelerations_at(x, at, torque, direction, plant, model, built)[:2]
+        accelerations = models.accelerations_at(x, at, torque, direction, moving)[:2]
         assert accelerations == pytest.approx((GEAR * alpha, alpha - phi), rel=1e-9, abs=1e-8)
         if direction == 0:
-            pull = models.driving_torque_at(x, at, torque, plant, model, built)
+            pull = models.driving_torque_at(x, at, torque, moving)
             assert pull == pytest.approx(holding, rel=1e-9, abs=1e-12)
-            assert friction.breakaway_torque(at, plant, built) == pytest.approx(level, rel=1e-12)
+            assert friction.breakaway_torque(at, plant, drive_there) == pytest.approx(level, rel=1e-12)
 
 
 class TestIntegrationLimits:
