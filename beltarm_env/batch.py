@@ -17,11 +17,11 @@ from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine.blocks import MAX_THREADS
 from beltarm_env.info import MOVE_TOTALS, TOTALS
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
+from beltarm_env.kernels.episodes import Episodes, begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import IDEAL, REAL
 from beltarm_env.kernels.moves import move_totals, next_moves
 from beltarm_env.kernels.observe import observe_arms, observe_some
-from beltarm_env.kernels.step import new_scratch
+from beltarm_env.kernels.step import new_rooms
 from beltarm_env.physics.models import model_of
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
@@ -145,7 +145,7 @@ class ArmBatch:
     ) -> None:
         self.num_arms, self.lanes = num_arms, lanes
         self.num_threads = whole("num_threads", num_threads, 1, MAX_THREADS)
-        self.rooms = new_scratch(self.num_threads, lanes)
+        self.rooms = new_rooms(self.num_threads, lanes)
         self.scratch, self.tile = self.rooms[0][0], self.rooms[1][0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
@@ -154,11 +154,11 @@ class ArmBatch:
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
         self._bounds = shared_bounds(randomization, self.num_moves)
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
-        self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
-        self._real_drives = np.zeros(num_arms, np.bool_)  # which arms have a real drive
-        self._num_built = 0
+        resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
+        self._num_real = 0
         self._substeps = 0  # integration steps per sample that were asked for; 0 for those that the arms need
-        self.delays = _delays(delay, num_arms)
+        delays, real_drives = _delays(delay, num_arms), np.zeros(num_arms, np.bool_)
+        self._setup = at.Setup(resolution, delays, real_drives, self.num_moves, self.profile, self.model)
         self.blocks = at.empty_blocks(num_arms, lanes)
         self.engine = _engine(model, num_arms)
         if self.engine is not None:
@@ -209,11 +209,9 @@ class ArmBatch:
         if options.get("state") is not None:
             states = checked_states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
-        sensing = self.resolution, self.delays, uniforms
-        of_model = self._real_drives, self.num_moves, self.model
         self._substeps = 0
         begin = at.for_lanes(begin_episodes, self.lanes)
-        self._num_built += begin(self.blocks, arms, table, moves, states, *sensing, *of_model)
+        self._num_real += begin(self.blocks, arms, Episodes(table, moves, states, uniforms), self._setup)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
@@ -224,14 +222,12 @@ class ArmBatch:
             arms: Integers of the arms.
             streams: Random streams of all arms, of which theirs move on.
         """
-        to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
-        of_model = self._real_drives, self.num_moves, self.profile, self.model
         self._substeps = 0
         begin = at.for_lanes(restart_episodes, self.lanes)
         with wrapping():
             for low in range(0, len(arms), AT_ONCE):
                 some = arms[low : low + AT_ONCE]
-                self._num_built += begin(self.blocks, some, *to_draw, *sensing, *of_model)
+                self._num_real += begin(self.blocks, some, streams, self._bounds, self.table, self._setup)
         if self.engine is not None:
             self.engine.begin(arms, self.table[arms], self.states[arms])
 
@@ -242,9 +238,8 @@ class ArmBatch:
             arms: Integers of the arms.
             uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
         """
-        of_model = self._real_drives, self.profile, self.model
         begin = at.for_lanes(next_moves, self.lanes)
-        self._num_built += begin(self.blocks, arms, uniforms, self._bounds, self.table, *of_model)
+        self._num_real += begin(self.blocks, arms, uniforms, self._bounds, self.table, self._setup)
         if self._substeps:
             self.set_substeps(self._substeps)
         if self.engine is not None:
@@ -273,16 +268,20 @@ class ArmBatch:
 
     def observe(self, observations: Singles, arms: Integers | None = None) -> None:
         """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
-        settings = self.profile, self.tier, self.real_drive
         if arms is None:
-            at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, *settings)
+            at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, self.task)
         else:
-            at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, *settings)
+            at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, self.task)
 
     @property
     def real_drive(self) -> at.RealDrive:
         """Whether real drives are among the arms."""
-        return REAL if self._num_built else IDEAL
+        return REAL if self._num_real else IDEAL
+
+    @property
+    def task(self) -> at.Task:
+        """What all arms have in common in a step."""
+        return at.Task(self.profile, self.tier, self.model, self.real_drive, self.engine is None)
 
     @property
     def all_arms(self) -> Integers:

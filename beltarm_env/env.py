@@ -275,15 +275,14 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             raise ResetNeeded("no episode is running: call reset() before step()")
         real_drive = self._batch.real_drive
         if real_drive not in self._steps:
-            self._steps[real_drive] = self._step_for(real_drive)
+            self._steps[real_drive] = self._step_for_drive()
         self._step_arm = self._steps[real_drive]
         return self._step_arm
 
-    def _step_for(self, real_drive: RealDrive) -> Callable[..., Any]:
+    def _step_for_drive(self) -> Callable[..., Any]:
         """Return the kernel behind what is the same in all steps."""
         batch = self._batch
-        settings = batch.profile, batch.tier, batch.model, real_drive, batch.engine is None
-        same = batch.blocks, batch.scratch, batch.tile, *settings
+        same = batch.blocks, batch.scratch, batch.tile, batch.task
         observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, like=np.empty(self._size, np.float32))
 
         def moved_by_engine(action: Singles) -> Any:

@@ -22,7 +22,7 @@ from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.info import TERMS, TOTALS, Ended, masked, of_moves
 from beltarm_env.kernels.layout import IDEAL
-from beltarm_env.kernels.step import HUGE, step_arms
+from beltarm_env.kernels.step import HUGE, Results, step_arms
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -183,18 +183,19 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             )
         fractions = self._checked_actions(actions)
         count = self._num_envs
-        result = np.empty((count, self._size), np.float32)
-        rewards = np.empty(count)
+        result, rewards, terms = (
+            np.empty((count, self._size), np.float32),
+            np.empty(count),
+            np.empty((len(TERMS), count)),
+        )
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
-        terms = np.empty((len(TERMS), count))
         batch = self._batch
         if batch.engine is not None:
             batch.advance_in_engine(fractions)
-        settings = batch.profile, batch.tier, batch.model, batch.real_drive, batch.engine is None
-        into = fractions, result, rewards, terminated, truncated, terms
+        into = Results(result, rewards, terminated, truncated, terms)
         seldom = time.perf_counter() - self._stepped > SOON
         threads = threads_for(len(batch.blocks), batch.real_drive is not IDEAL, seldom, batch.num_threads)
-        in_threads(step_arms, threads, batch.blocks, none_taken(threads), *batch.rooms, *into, *settings)
+        in_threads(step_arms, threads, batch.blocks, none_taken(threads), batch.rooms, fractions, into, batch.task)
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import (
     LANES,
     RealDrive,
+    Setup,
     drive_among,
     load_move,
     load_plant,
@@ -24,7 +26,6 @@ from beltarm_env.kernels.sense import begin_sensing
 from beltarm_env.physics.drive import drive_of, resting
 from beltarm_env.physics.friction import begun_deflection
 from beltarm_env.physics.kinematics import tip_error, tip_motion
-from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.draws import DRAWS, END_OF_MOVE, FIRST_OF_MOVE, FIRST_OF_SENSORS
@@ -36,38 +37,29 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Integers = NDArray[np.intp]
+
+
+class Episodes(NamedTuple):
+    """What n episodes begin with, each its own."""
+
+    table: Floats  # parameters of the arms, shape (n, len(FIELDS))
+    moves: Floats  # first moves, shape (n, 4)
+    states: Floats  # shape (n, 4); NaN for at rest at the move's start
+    draws: Floats  # uniform random numbers, shape (n, DRAWS)
 
 
 @compiled
-def begin_episodes(
-    blocks: Floats,
-    arms: NDArray[np.intp],
-    table: Floats,
-    moves: Floats,
-    states: Floats,
-    resolution: float,
-    delays: Floats,
-    draws: Floats,
-    real_drives: Flags,
-    num_moves: int,
-    model: Model,
-) -> int:
+def begin_episodes(blocks: Floats, arms: Integers, episodes: Episodes, setup: Setup) -> int:
     """Begin a new episode in n arms, and return by how many there are more with a real drive.
 
     Args:
         blocks: The arms, as `layout` describes.
         arms: Which ones, shape (n,).
-        table: Their parameters, shape (n, len(FIELDS)).
-        moves: Their first moves, shape (n, 4).
-        states: Their states, shape (n, 4); NaN for at rest at the move's start.
-        resolution: Of the encoder [rad per count].
-        delays: Of the measurements of all arms [samples], shape (N,).
-        draws: Uniform random numbers of the episodes, shape (n, DRAWS).
-        real_drives: Which of all arms have a real drive, shape (N,); changed.
-        num_moves: Moves of the episodes.
-        model: Whose equations of motion.
+        episodes: Theirs.
+        setup: What all episodes begin with.
     """
-    more = 0
+    more, (table, moves, states, draws) = 0, episodes
     for i in range(len(arms)):
         block, j = blocks[arms[i] // LANES], arms[i] % LANES
         plant = plant_of(table[i])
@@ -77,32 +69,21 @@ def begin_episodes(
         if x.motor_angle != x.motor_angle:
             x = resting(moves[i, 0] * plant.gear, plant, drive_of(table[i]))
         store_state(block, at.STATE, j, x)
-        now = begin_move(block, j, moves[i], table[i], model)
-        block[at.MOVES_LEFT * LANES + j] = num_moves - 1.0
+        now = begin_move(block, j, moves[i], table[i], setup.model)
+        block[at.MOVES_LEFT * LANES + j] = setup.num_moves - 1.0
         block[at.FRICTION_LEVEL * LANES + j] = 1.0
         block[at.DEFLECTION * LANES + j] = begun_deflection(x.motor_speed, drive_of(table[i]))
-        of_sensors, delay = draws[i, FIRST_OF_SENSORS:], float(delays[arms[i]])
-        begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, delay, of_sensors)
-        more += int(now) - int(real_drives[arms[i]])
-        real_drives[arms[i]] = now
+        begin_sensing(block, j, setup.resolution, float(setup.delays[arms[i]]), draws[i, FIRST_OF_SENSORS:])
+        more += int(now) - int(setup.real_drives[arms[i]])
+        setup.real_drives[arms[i]] = now
     return more
 
 
 @compiled
 def restart_episodes(
-    blocks: Floats,
-    arms: NDArray[np.intp],
-    streams: Streams,
-    bounds: Floats,
-    table: Floats,
-    resolution: float,
-    delays: Floats,
-    real_drives: Flags,
-    num_moves: int,
-    profile: int,
-    model: Model,
+    blocks: Floats, arms: Integers, streams: Streams, bounds: Floats, table: Floats, setup: Setup
 ) -> int:
-    """Begin new random episodes in n arms; within `streams.wrapping`. For the result and other arguments, see above.
+    """Begin new random episodes in n arms; within `streams.wrapping`. For the result see above.
 
     Args:
         blocks: The arms, as `layout` describes.
@@ -110,12 +91,7 @@ def restart_episodes(
         streams: Random streams of all arms, shape (N, 4); changed.
         bounds: Of the parameters, shape (2, len(FIELDS)).
         table: Parameters of all arms, shape (N, len(FIELDS)); changed.
-        resolution: Of the encoder [rad per count].
-        delays: Of the measurements of all arms [samples], shape (N,).
-        real_drives: Which of all arms have a real drive, shape (N,); changed.
-        num_moves: Moves of the episodes.
-        profile: Index into `reference.PROFILES`.
-        model: Whose equations of motion.
+        setup: What all episodes begin with.
     """
     count = len(arms)
     draws, drawn, nothing = np.empty((count, DRAWS)), np.empty((count, bounds.shape[1])), np.full((count, 4), np.nan)
@@ -123,8 +99,8 @@ def restart_episodes(
     draw_table(bounds, draws, drawn)
     for i in range(count):
         table[arms[i]] = drawn[i]
-    moves = draw_moves(profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
-    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, real_drives, num_moves, model)
+    moves = draw_moves(setup.profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
+    return begin_episodes(blocks, arms, Episodes(drawn, moves, nothing, draws), setup)
 
 
 @inlined
@@ -142,7 +118,7 @@ def totals_so_far(block: Floats, j: int, terminated: bool) -> tuple[float, float
 
 
 @compiled
-def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, totals: Floats) -> None:
+def episode_totals(blocks: Floats, arms: Integers, terminated: Flags, totals: Floats) -> None:
     """Sum up episodes, into the columns of some arms.
 
     Args:

@@ -9,7 +9,7 @@ for which there are kernels of their own, see `for_lanes`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Final, ParamSpec, TypeVar
+from typing import Annotated, Final, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import inlined, with_constants
 from beltarm_env.physics.drive import Drive
+from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.torque import Stages
 from beltarm_env.task.reference import MoveShape
@@ -80,6 +81,28 @@ RealDrive = bool | None
 IDEAL: Final = None
 REAL: Final = True
 """Whether real drives are among the arms: a kernel compiled for IDEAL has none of their equations."""
+
+
+class Task(NamedTuple):
+    """What all arms of a batch have in common in a step."""
+
+    profile: int  # index into `reference.PROFILES`
+    tier: int  # index into `observation.SENSORS`
+    model: Model  # whose equations of motion
+    real_drive: RealDrive  # whether real drives are among the arms
+    integrate: bool  # whether the kernels move the arms; not where another engine has moved them
+
+
+class Setup(NamedTuple):
+    """What episodes of a batch of N arms begin with."""
+
+    resolution: float  # of the encoder [rad per count]
+    delays: Floats  # of the measurements [samples], shape (N,)
+    real_drives: NDArray[np.bool_]  # which arms have a real drive, shape (N,); kernels that begin moves change it
+    num_moves: int  # of an episode
+    profile: int  # index into `reference.PROFILES`
+    model: Model  # whose equations of motion
+
 
 MAX_DELAY = 2
 _VECTOR = 8  # lanes that the widest vector units take at once

@@ -12,7 +12,7 @@ from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.drives import begin_drive
-from beltarm_env.kernels.layout import LANES, store_plant
+from beltarm_env.kernels.layout import LANES, Setup, store_plant
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import LARGEST_ERROR, still_time
@@ -58,14 +58,7 @@ def _close_move(block: Floats, j: int) -> None:
 
 @compiled
 def next_moves(
-    blocks: Floats,
-    arms: NDArray[np.intp],
-    draws: Floats,
-    bounds: Floats,
-    table: Floats,
-    real_drives: Flags,
-    profile: int,
-    model: Model,
+    blocks: Floats, arms: NDArray[np.intp], draws: Floats, bounds: Floats, table: Floats, setup: Setup
 ) -> int:
     """Begin the next move of n arms, from the states that they have, and return by how many more have a real drive.
 
@@ -75,27 +68,27 @@ def next_moves(
         draws: Uniform random numbers, shape (n, DRAWS).
         bounds: Of the parameters, shape (2, len(FIELDS)).
         table: Parameters of all arms, shape (N, len(FIELDS)); changed.
-        real_drives: Which of all arms have a real drive, shape (N,); changed.
-        profile: Index into `reference.PROFILES`.
-        model: Whose equations of motion.
+        setup: What all episodes begin with.
     """
     count, more = len(arms), 0
     drawn, given = np.empty((count, bounds.shape[1])), np.full((count, 4), np.nan)
     for i in range(count):
         given[i, 0] = blocks[arms[i] // LANES, (at.MOVE + 1) * LANES + arms[i] % LANES]
     draw_table(bounds, draws, drawn)
-    moves = draw_moves(profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], given)
+    moves = draw_moves(setup.profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], given)
     for i in range(count):
         block, j = blocks[arms[i] // LANES], arms[i] % LANES
         _close_move(block, j)
         loaded = block[at.EARLIER * LANES + j] % (2 * EPISODE_STEPS) == 0.0
         level = float(block[at.FRICTION_LEVEL * LANES + j])
-        if not real_drives[arms[i]]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
+        if not setup.real_drives[
+            arms[i]
+        ]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
             block[at.TORQUE * LANES + j] = block[at.ACTION * LANES + j] * table[arms[i], COLUMN.torque_limit]
         block[at.FRICTION_LEVEL * LANES + j] = change_row(table[arms[i]], drawn[i], level, loaded)
-        now = begin_move(block, j, moves[i], table[arms[i]], model)
-        more += int(now) - int(real_drives[arms[i]])
-        real_drives[arms[i]] = now
+        now = begin_move(block, j, moves[i], table[arms[i]], setup.model)
+        more += int(now) - int(setup.real_drives[arms[i]])
+        setup.real_drives[arms[i]] = now
     return more
 
 

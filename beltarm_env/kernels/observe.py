@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, RealDrive, load_move, load_plant
+from beltarm_env.kernels.layout import LANES, RealDrive, Task, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
 from beltarm_env.kernels.tile import put, transpose
 from beltarm_env.observation import LOOKAHEADS, index
@@ -83,49 +83,35 @@ def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
 
 
 @compiled
-def observe_block(
-    block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, real_drive: RealDrive
-) -> None:
+def observe_block(block: Floats, tile: Singles, observations: Singles, task: Task) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 
     Args:
         block: As `layout` describes.
         tile: Room for `tile.TILE_ROWS` rows.
         observations: Shape (count, size).
-        profile: Index into `reference.PROFILES`.
-        tier: Index into `observation.SENSORS`.
-        real_drive: Whether real drives are among the arms.
+        task: What is common to all arms.
     """
     count = len(observations)
-    if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
+    if task.profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
         _put_all(block, tile, count, TRAPEZOID)
     else:
-        _put_all(block, tile, count, profile)
-    _put_last_entries(block, tile, count, tier, real_drive)
-    transpose(tile, observations, tier)
+        _put_all(block, tile, count, task.profile)
+    _put_last_entries(block, tile, count, task.tier, task.real_drive)
+    transpose(tile, observations, task.tier)
 
 
 @compiled
-def observe_arms(
-    blocks: Floats, tile: Singles, observations: Singles, profile: int, tier: int, real_drive: RealDrive
-) -> None:
+def observe_arms(blocks: Floats, tile: Singles, observations: Singles, task: Task) -> None:
     """Write the observations of all arms, shape (N, size); arguments as of `observe_block`."""
     for k in range(len(blocks)):
         low = k * LANES
-        observe_block(blocks[k], tile, observations[low : low + LANES], profile, tier, real_drive)
+        observe_block(blocks[k], tile, observations[low : low + LANES], task)
 
 
 @compiled
-def observe_some(
-    blocks: Floats,
-    tile: Singles,
-    observations: Singles,
-    arms: NDArray[np.intp],
-    profile: int,
-    tier: int,
-    real_drive: RealDrive,
-) -> None:
+def observe_some(blocks: Floats, tile: Singles, observations: Singles, arms: NDArray[np.intp], task: Task) -> None:
     """Write the observations of some arms, one by one; arguments as of `observe_block`."""
     for arm in arms:
         block, lane = blocks[arm // LANES], arm % LANES  # a block that begins with a lane has this one as its first
-        observe_block(block[lane:], tile, observations[arm : arm + 1], profile, tier, real_drive)
+        observe_block(block[lane:], tile, observations[arm : arm + 1], task)

@@ -11,15 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import Plant
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, RealDrive, drive_among, load_plant, load_state, store_state
+from beltarm_env.kernels.layout import LANES, RealDrive, drive_among, load_drive, load_plant, load_state, store_state
 from beltarm_env.kernels.tile import OWN_ROW, put
 from beltarm_env.observation import ACCELEROMETER, FULL, TIP
-from beltarm_env.physics.drive import Drive, belt_motion
+from beltarm_env.physics.drive import belt_motion
 from beltarm_env.physics.kinematics import TipMotion, contained, tip_motion
-from beltarm_env.physics.state import ArmState
 from beltarm_env.task.accelerometer import along_and_across, bias_of, low_passed, noise_seed, reading
 from beltarm_env.task.sensors import between_samples, speed_from_counts, to_counts
 from beltarm_env.timing import CONTROL_PERIOD
@@ -29,21 +27,17 @@ Singles = NDArray[np.float32]
 
 
 @inlined
-def begin_sensing(
-    block: Floats, lane: int, x: ArmState, plant: Plant, drive: Drive, resolution: float, delay: float, draws: Floats
-) -> None:
+def begin_sensing(block: Floats, lane: int, resolution: float, delay: float, draws: Floats) -> None:
     """Fill the histories of an arm that begins an episode, as if it had moved at constant speed before.
 
     Args:
-        block: As `layout` describes.
+        block: As `layout` describes, with the arm's state and coefficients.
         lane: Of the arm.
-        x: State of the arm.
-        plant: Coefficients of the arm.
-        drive: Coefficients of its drive.
         resolution: Of the encoder [rad per count].
         delay: Of the measurements [samples].
         draws: Uniform random numbers in [0, 1), shape (accelerometer.DRAWS,).
     """
+    x = load_state(block, at.STATE, lane)
     block[at.RESOLUTION * LANES + lane] = resolution
     whole = float(int(delay))
     fraction = delay - whole
@@ -53,7 +47,7 @@ def begin_sensing(
     for k in range(at.COUNT_HISTORY):
         before = x.motor_angle - (k + fraction) * CONTROL_PERIOD * x.motor_speed
         block[(at.COUNTS + k) * LANES + lane] = to_counts(before, resolution)
-    tip = tip_motion(x, plant, drive)
+    tip = tip_motion(x, load_plant(block, lane), load_drive(block, lane))
     for k in range(at.TIP_HISTORY):
         block[(at.TIP_SPEEDS + k) * LANES + lane] = tip.x_speed
     block[at.NOISE_SEED * LANES + lane] = noise_seed(draws[0])

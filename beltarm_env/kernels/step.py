@@ -7,6 +7,8 @@ compiler vectorises.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,7 @@ from beltarm_env.kernels.episodes import totals_so_far
 from beltarm_env.kernels.layout import (
     LANES,
     RealDrive,
+    Task,
     aligned_rows,
     drive_among,
     load_move,
@@ -28,7 +31,6 @@ from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.physics.kinematics import outside_workspace, tip_motion
-from beltarm_env.physics.models import Model
 from beltarm_env.task.cost import MAX_COST, STILL_BAND, StepCost, step_cost
 from beltarm_env.task.reference import TRAPEZOID, reference_at
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
@@ -51,10 +53,27 @@ _WORK = TRUNCATED + 1  # rows of `advance`
 SCRATCH_ROWS = _WORK + WORK_ROWS
 
 
-def new_scratch(threads: int, lanes: int = LANES) -> tuple[Floats, Singles]:
-    """Allocate what the kernels work in, a row for each thread; once, because allocation takes time."""
+class Rooms(NamedTuple):
+    """What the kernels work in, a row for each thread."""
+
+    scratches: Floats
+    tiles: Singles
+
+
+class Results(NamedTuple):
+    """What a step of N arms comes to."""
+
+    observations: Singles  # shape (N, size)
+    rewards: Floats  # shape (N,)
+    terminated: Flags  # shape (N,)
+    truncated: Flags  # shape (N,)
+    terms: Floats  # tip error [m] and the three cost terms, shape (4, N)
+
+
+def new_rooms(threads: int, lanes: int = LANES) -> Rooms:
+    """Allocate rooms; once, because allocation takes time."""
     tiles = aligned_rows(threads, -(-TILE_ROWS // 2) * lanes).view(np.float32)
-    return aligned_rows(threads, SCRATCH_ROWS * lanes), tiles
+    return Rooms(aligned_rows(threads, SCRATCH_ROWS * lanes), tiles)
 
 
 @inlined
@@ -135,25 +154,15 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, real_drive:
 
 
 @compiled
-def _step_block(
-    block: Floats,
-    scratch: Floats,
-    tile: Singles,
-    observations: Singles,
-    profile: int,
-    tier: int,
-    model: Model,
-    real_drive: RealDrive,
-    integrate: bool,
-) -> None:
+def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, task: Task) -> None:
     """Step the arms of one block by one control period; actions are in scratch, results go to scratch."""
-    count = len(observations)
-    if integrate:
+    count, real_drive = len(observations), task.real_drive
+    if task.integrate:
         work, actions = scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES]
-        advance_block(block, work, actions, count, model, real_drive)
-    sense_block(block, count, tier, real_drive)
-    charge(block, scratch, count, profile, real_drive)
-    observe_block(block, tile, observations, profile, tier, real_drive)
+        advance_block(block, work, actions, count, task.model, real_drive)
+    sense_block(block, count, task.tier, real_drive)
+    charge(block, scratch, count, task.profile, real_drive)
+    observe_block(block, tile, observations, task)
 
 
 @compiled
@@ -161,19 +170,10 @@ def step_arms(
     thread: int,
     blocks: Floats,
     taken: Integers,
-    scratches: Floats,
-    tiles: Singles,
+    rooms: Rooms,
     actions: Floats,
-    observations: Singles,
-    rewards: Floats,
-    terminated: Flags,
-    truncated: Flags,
-    terms: Floats,
-    profile: int,
-    tier: int,
-    model: Model,
-    real_drive: RealDrive,
-    integrate: bool,
+    results: Results,
+    task: Task,
 ) -> None:
     """Step N arms by one control period, those of the blocks that a thread takes; results are written in place.
 
@@ -181,21 +181,12 @@ def step_arms(
         thread: Index of the thread.
         blocks: The arms, as `layout` describes.
         taken: Of `none_taken`, for as many threads as there are.
-        scratches: From `new_scratch`.
-        tiles: From `new_scratch`.
+        rooms: To work in.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
-        observations: Shape (N, size).
-        rewards: Shape (N,).
-        terminated: Shape (N,).
-        truncated: Shape (N,).
-        terms: Tip error [m] and the three cost terms, shape (4, N).
-        profile: Index into `reference.PROFILES`.
-        tier: Index into `observation.SENSORS`.
-        model: Whose equations of motion.
-        real_drive: Whether real drives are among the arms.
-        integrate: Whether to move the arms; not where another engine has moved them.
+        results: Written.
+        task: What is common to all arms.
     """
-    scratch, tile = scratches[thread], tiles[thread]
+    scratch, tile = rooms.scratches[thread], rooms.tiles[thread]
     while True:
         k = take_block(taken, thread, len(blocks))
         if k < 0:
@@ -203,12 +194,12 @@ def step_arms(
         low = k * LANES
         high = min(low + LANES, len(actions))
         _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, real_drive, integrate)
-        _give_flags(scratch, TERMINATED, terminated[low:high])
-        _give_flags(scratch, TRUNCATED, truncated[low:high])
-        _give(scratch, REWARD, rewards[low:high])
-        for row in range(len(terms)):
-            _give(scratch, TERMS + row, terms[row, low:high])
+        _step_block(blocks[k], scratch, tile, results.observations[low:high], task)
+        _give_flags(scratch, TERMINATED, results.terminated[low:high])
+        _give_flags(scratch, TRUNCATED, results.truncated[low:high])
+        _give(scratch, REWARD, results.rewards[low:high])
+        for row in range(len(results.terms)):
+            _give(scratch, TERMS + row, results.terms[row, low:high])
 
 
 @compiled
@@ -233,28 +224,15 @@ def _give_flags(scratch: Floats, row: int, flags: Flags) -> None:
 
 @compiled
 def step_arm(
-    blocks: Floats,
-    scratch: Floats,
-    tile: Singles,
-    profile: int,
-    tier: int,
-    model: Model,
-    real_drive: RealDrive,
-    integrate: bool,
-    action: float,
-    observation: Singles,
+    blocks: Floats, scratch: Floats, tile: Singles, task: Task, action: float, observation: Singles
 ) -> tuple[Singles, float, bool, bool, dict[str, float]]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
     Args:
         blocks: The arm, as `layout` describes.
-        scratch: Row of `new_scratch`.
-        tile: Row of `new_scratch`.
-        profile: Index into `reference.PROFILES`.
-        tier: Index into `observation.SENSORS`.
-        model: Whose equations of motion.
-        real_drive: Whether real drives are among the arms.
-        integrate: Whether to move the arms; not where another engine has moved them.
+        scratch: Row of a room.
+        tile: Row of a room.
+        task: What is common to all arms.
         action: Torque over the torque limit, cut to [-1, 1].
         observation: Written in place, shape (size,).
 
@@ -268,7 +246,7 @@ def step_arm(
     if not -HUGE < action < HUGE:
         raise ValueError("the action is not finite")
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
-    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, real_drive, integrate)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), task)
     terminated = bool(scratch[TERMINATED * LANES] != 0.0)
     total, position, velocity, torque_rate, steps, rms, largest = totals_so_far(blocks[0], 0, terminated)
     info = {

@@ -27,6 +27,7 @@ from beltarm_env.kernels.layout import IDEAL, LANES, store_plant
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.observation import ENCODER, size
+from beltarm_env.physics.models import LUMPED
 from beltarm_env.task.reference import TRAPEZOID, MoveShape
 
 Kernel = Callable[..., Any]
@@ -88,7 +89,7 @@ def observe(device: Device, count: int) -> None:
     block = device.block
     block[(at.COUNTS + 1) * LANES] = block[at.COUNTS * LANES]
     block[at.COUNTS * LANES] = float(count)
-    observe_block(block, device.tile, device.observation, TRAPEZOID, ENCODER, IDEAL)
+    observe_block(block, device.tile, device.observation, at.Task(TRAPEZOID, ENCODER, LUMPED, IDEAL, False))
 
 
 @compiled
