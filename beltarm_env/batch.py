@@ -129,7 +129,7 @@ def _spaces(sensors: str) -> tuple[spaces.Box[np.float32], spaces.Box[np.float32
 class ArmBatch:
     """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  options by keyword
         self,
         num_arms: int,
         *,
@@ -154,11 +154,11 @@ class ArmBatch:
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
         self._bounds = shared_bounds(randomization, self.num_moves)
         check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
-        resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
+        self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._num_real = 0
         self._substeps = 0  # integration steps per sample that were asked for; 0 for those that the arms need
         delays, real_drives = _delays(delay, num_arms), np.zeros(num_arms, np.bool_)
-        self._setup = at.Setup(resolution, delays, real_drives, self.num_moves, self.profile, self.model)
+        self._setup = at.Setup(self.resolution, delays, real_drives, self.num_moves, self.profile, self.model)
         self.blocks = at.empty_blocks(num_arms, lanes)
         self.engine = _engine(model, num_arms)
         if self.engine is not None:

@@ -137,7 +137,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         "render_fps": round(1 / CONTROL_PERIOD),  # of who draws every step, as Gymnasium's recorder does
     }
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  options by keyword
         self,
         *,
         sensors: Sensors = "encoder",

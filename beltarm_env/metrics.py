@@ -68,27 +68,21 @@ def heading(name: str) -> str:
     return f"{metric.title} ({metric.unit})" if metric.unit else metric.title
 
 
-def episode_metrics(
-    tip_error: Floats,
-    tip_velocity_error: Floats,
-    torque: Floats,
-    torque_limit: Floats,
-    move_duration: Floats,
-    cost: Floats,
-    finished: Flags,
-    torque_before: Floats | float = 0.0,
-) -> dict[str, Floats]:
-    """Compute the metrics of n episodes of T steps.
+class Episodes(NamedTuple):
+    """What the metrics of n episodes of T steps are computed from."""
 
-    Args:
-        tip_error: Tip minus reference tip, radial (x) and lateral (y) [m], shape (T, n, 2).
-        tip_velocity_error: The same for the velocity [m/s], shape (T, n, 2).
-        torque: Commanded torque [N m], shape (T, n).
-        torque_limit: [N m], shape (n,).
-        move_duration: [s], shape (n,).
-        cost: Cost of the whole episode, shape (n,).
-        finished: False where the arm left the workspace, which counts as a failure; shape (n,).
-        torque_before: Commanded torque before the first step [N m], shape (n,).
+    tip_error: Floats  # tip minus reference tip, radial (x) and lateral (y) [m], shape (T, n, 2)
+    tip_velocity_error: Floats  # the same for the velocity [m/s], shape (T, n, 2)
+    torque: Floats  # commanded [N m], shape (T, n)
+    torque_limit: Floats  # [N m], shape (n,)
+    move_duration: Floats  # [s], shape (n,)
+    cost: Floats  # of the whole episode, shape (n,)
+    finished: Flags  # False where the arm left the workspace, which counts as a failure; shape (n,)
+    torque_before: Floats | float = 0.0  # commanded before the first step [N m], shape (n,)
+
+
+def episode_metrics(episodes: Episodes) -> dict[str, Floats]:
+    """Compute the metrics of n episodes.
 
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
@@ -97,6 +91,7 @@ def episode_metrics(
         reference, or what is left of the move (s); failure (0 or 1); whether it did not arrive (0 or 1); RMS torque
         (N m) and torque rate (N m/s); reversals of the torque per second; share of samples at the torque limit; cost.
     """
+    tip_error, tip_velocity_error, torque, torque_limit, move_duration, cost, finished, torque_before = episodes
     distance = np.linalg.norm(tip_error, axis=2)
     acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
     residual = 1000 * residual_vibration(tip_error, move_duration)

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.metrics import episode_metrics
+from beltarm_env.metrics import Episodes, episode_metrics
 from beltarm_env.physics.drive import belt_motions, real_drive_of
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.timing import CONTROL_PERIOD
@@ -101,16 +101,9 @@ class Recording:
 
     def metrics(self) -> dict[str, Floats]:
         """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""
-        return episode_metrics(
-            self.tip_error,
-            self.tip_velocity_error,
-            self.torque,
-            self.params[:, COLUMN.torque_limit],
-            self.moves[:, 2],
-            self.cost,
-            self.finished,
-            self.torque_before,
-        )
+        limits, durations = self.params[:, COLUMN.torque_limit], self.moves[:, 2]
+        commanded = self.tip_error, self.tip_velocity_error, self.torque, limits, durations
+        return episode_metrics(Episodes(*commanded, self.cost, self.finished, self.torque_before))
 
     def over_moves(self, values: Floats) -> Floats:
         """Average a number per move, such as `cost` or one of the metrics, over the moves of each arm.

@@ -112,9 +112,9 @@ class ArmSimulation:
             ValueError: If there are not as many as arms.
         """
         _require(len(self.limits), self.size, states=states, torques=torques)
-        states, torques = np.ascontiguousarray(states, np.float64), np.ascontiguousarray(torques, np.float64)
+        states = np.ascontiguousarray(states, np.float64)
         result = np.empty_like(states)
-        advance_arms(self.room, states, torques, self.limits, self.model, result)
+        advance_arms(self.room, states, self._actions(torques), self.model, result)
         return result
 
     def ahead(self, states: Floats, torques: Floats, samples: Floats) -> Floats:
@@ -129,10 +129,14 @@ class ArmSimulation:
             ValueError: If there are not as many as arms.
         """
         _require(len(self.limits), self.size, states=states, torques=torques, samples=samples)
-        states, torques = np.ascontiguousarray(states, np.float64), np.ascontiguousarray(torques, np.float64)
-        result = np.empty((len(states), X))
-        look_ahead_arms(self.room, states, torques, self.limits, np.ascontiguousarray(samples), self.model, result)
+        states, result = np.ascontiguousarray(states, np.float64), np.empty((len(states), X))
+        actions, samples = self._actions(torques), np.ascontiguousarray(samples, np.float64)
+        look_ahead_arms(self.room, states, actions, samples, self.model, result)
         return result
+
+    def _actions(self, torques: Floats) -> Floats:
+        """Commanded torques over their limits, cut to [-1, 1]."""
+        return np.clip(np.asarray(torques, np.float64) / self.limits, -1.0, 1.0)
 
 
 def _require(count: int, size: int = 0, **arrays: Floats) -> None:

@@ -22,7 +22,7 @@ from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.info import TERMS, TOTALS, Ended, masked, of_moves
 from beltarm_env.kernels.layout import IDEAL
-from beltarm_env.kernels.step import HUGE, Results, step_arms
+from beltarm_env.kernels.step import HUGE, Exchange, step_arms
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -55,7 +55,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
 
     _renderers: list[Any] | None = None  # known to one whose arguments are refused, too: Gymnasium closes it
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  options by keyword
         self,
         num_envs: int = 1,
         *,
@@ -192,10 +192,10 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         batch = self._batch
         if batch.engine is not None:
             batch.advance_in_engine(fractions)
-        into = Results(result, rewards, terminated, truncated, terms)
+        exchange = Exchange(fractions, result, rewards, terminated, truncated, terms)
         seldom = time.perf_counter() - self._stepped > SOON
         threads = threads_for(len(batch.blocks), batch.real_drive is not IDEAL, seldom, batch.num_threads)
-        in_threads(step_arms, threads, batch.blocks, none_taken(threads), batch.rooms, fractions, into, batch.task)
+        in_threads(step_arms, threads, batch.blocks, none_taken(threads), batch.rooms, exchange, batch.task)
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long

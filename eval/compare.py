@@ -27,7 +27,7 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
-from eval.comparison.run import choose_methods, compare, verify
+from eval.comparison.run import Own, Run, choose_methods, compare, verify
 from eval.comparison.sets import choose_set
 from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS
 from eval.report import summary
@@ -103,7 +103,8 @@ def run(config: Config) -> None:
         if vain := [name.replace("_", "-") for name in names if getattr(config, name) != getattr(Config, name)]:
             raise ValueError(f"--{vain[0]} has no effect beside --verify, which runs what results claim: leave it out")
         with progress_count("parts", console) as done:
-            news, sound = verify(config.verify, config, verdict, config.policy, config.add, config.time_limit, done)
+            own = Own(config.policy, config.add, time_limit=config.time_limit)
+            news, sound = verify(config.verify, config, verdict, own, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
     usual, moves, seeds = (QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS) if config.quick else (EPISODES, MOVES, None)
@@ -115,8 +116,8 @@ def run(config: Config) -> None:
         more = f"; --scenario-seed 1 draws up to {MOST}" if config.scenario_seed is None else ""
         raise ValueError(f"--episodes must lie within 4 and {most}, got {count}{more}")
     scenarios = known.only(splits, count, moves)
-    settings = {"guard": config.guard, "time_limit": config.time_limit, "seeds": seeds}
-    methods = choose_methods(config.methods, config.policy, config.add, config.out, **settings)
+    own = Own(config.policy, config.add, config.out, config.time_limit)
+    methods = choose_methods(config.methods, own, guard=config.guard, seeds=seeds)
     for method in methods:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
@@ -124,7 +125,7 @@ def run(config: Config) -> None:
     size = f"Methods: {len(methods)}; splits: {', '.join(scenarios.splits)}; {count} scenarios of each."
     console.print(f"{size} What is done is kept in {config.out}.", soft_wrap=True, highlight=False)
     with progress_count("parts", console) as done:
-        comparison = compare(methods, scenarios, count, config.out, config, fresh=config.fresh, done=done)
+        comparison = compare(methods, scenarios, count, Run(config.out, config, config.fresh, done))
     content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
     write_text(config.out / PAGE, text_of("comparison", summary, content))
     print_results(content, console)

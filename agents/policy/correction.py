@@ -52,13 +52,19 @@ class CorrectionKernel(NamedTuple):
     identifier: ArmIdentifier | None  # that runs beside the base; None if it has one, or none is observed
 
 
+class Seen(NamedTuple):
+    """What an agent may know at a sample."""
+
+    observation: Singles  # of the environment, shape (size,)
+    now: Sample  # what is measured
+    belief: Belief | None  # None if the agent observes none
+
+
 @compiled
 def correct(
     design: Correction,
-    observation: Singles,
+    seen: Seen,
     action: float,
-    now: Sample,
-    belief: Belief | None,
     begins: bool,
     anew: bool,
     memory: CorrectionMemory,
@@ -67,14 +73,13 @@ def correct(
 
     Args:
         design: Constants.
-        observation: Of the environment, shape (size,).
+        seen: What is known at this sample.
         action: Of the base: its torque over the limit, cut and in single precision.
-        now: What is measured.
-        belief: What is believed at this sample; None if the agent observes no belief.
         begins: Whether base and belief begin anew: with each move, if the base remembers nothing.
         anew: Whether an episode begins, and so the policy's memory.
         memory: Written.
     """
+    observation, now, belief = seen
     if begins:
         memory.age[0] = 0
     if anew:

@@ -95,9 +95,9 @@ class NetworkPolicy:
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
         parts = (np.split(array, shares) for array in (inputs, memory.reshape(count, -1), residuals))
-        for network, seen, remembered, answers in zip(self.networks, *parts, strict=True):
-            taken = none_taken(usual_threads(len(seen) // _LEAST))
-            in_threads(_evaluate_tiles, len(taken), network, seen, remembered, self.widest, answers, taken)
+        for network, *rows in zip(self.networks, *parts, strict=True):
+            taken = none_taken(usual_threads(count // shares // _LEAST))
+            in_threads(_evaluate_tiles, len(taken), network, tuple(rows), self.widest, taken)
         return residuals, memory if self.shape.recurrent else None
 
 
@@ -165,12 +165,19 @@ def _activated(x: float, activation: int) -> float:
     return 2 * half / (1 - half)
 
 
-@compiled
-def _affine(inputs: Singles, size: int, weights: Singles, start: int, outputs: Singles, width: int, rows: int) -> int:
-    """Write b + x W into the first rows of outputs, of whose entries the first `width` count, and `size` of x.
+class Layer(NamedTuple):
+    """An affine layer of a network."""
 
-    Weights W, then b, begin at `start`. Return where the next ones begin.
-    """
+    weights: Singles  # of all layers
+    start: int  # where W begins in them, which b follows
+    size: int  # entries of an input that count
+    width: int  # and of an output
+
+
+@compiled
+def _affine(layer: Layer, inputs: Singles, outputs: Singles, rows: int) -> int:
+    """Write b + x W into the first rows of outputs. Return where the next layer's weights begin."""
+    weights, start, size, width = layer
     end = start + size * width
     bias = weights[end : end + width]
     for r in range(rows):
@@ -238,8 +245,8 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
     start, last = 0, len(net.widths) - 1
     if net.kind != _FEEDFORWARD:
         gates = (4 if net.kind == _LSTM else 3) * net.memory_width
-        start = _affine(inputs, size, net.weights, 0, work[0], gates, rows)
-        start = _affine(memory, net.memory_width, net.weights, start, work[1], gates, rows)
+        start = _affine(Layer(net.weights, 0, size, gates), inputs, work[0], rows)
+        start = _affine(Layer(net.weights, start, net.memory_width, gates), memory, work[1], rows)
         if net.kind == _LSTM:
             _lstm(net.memory_width, work[0], work[1], memory)
         else:
@@ -252,7 +259,8 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
             work[0, r, seen + k] = memory[r, k]
     for layer in range(1, last + 1):
         width, outputs = net.widths[layer], work[layer % 2]
-        start = _affine(work[(layer - 1) % 2], net.widths[layer - 1], net.weights, start, outputs, width, rows)
+        affine = Layer(net.weights, start, net.widths[layer - 1], width)
+        start = _affine(affine, work[(layer - 1) % 2], outputs, rows)
         if layer < last:
             for r in range(rows):
                 for j in range(width):
@@ -264,15 +272,13 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
 
 @compiled
 def _evaluate_tiles(
-    thread: int,
-    net: Network,
-    inputs: Singles,
-    memory: Singles,
-    widest: int,
-    residuals: Singles,
-    taken: NDArray[np.int64],
+    thread: int, net: Network, rows: tuple[Singles, Singles, Singles], widest: int, taken: NDArray[np.int64]
 ) -> None:
-    """Evaluate any number of rows, see `evaluate`; some at a time share the weights. In threads, see `take_block`."""
+    """Evaluate any number of rows of inputs, memory and residuals, see `evaluate`; some at a time share the weights.
+
+    In threads, see `take_block`.
+    """
+    inputs, memory, residuals = rows
     count = len(inputs)
     work = np.empty((2, min(count, _TILE), -(-widest // _LANES) * _LANES), np.float32)
     while True:

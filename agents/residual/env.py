@@ -79,7 +79,7 @@ class ResidualVecEnv(VecEnv):
         stagger: Spread the arms over the phases of the episode, so that a rollout sees all of them.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  options by keyword
         self,
         env: BeltArmVectorEnv,
         base: Controller,

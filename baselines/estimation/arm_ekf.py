@@ -53,6 +53,8 @@ begins anew with the nominal constants, and does not listen to the accelerometer
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from baselines.estimation import believed_arm as z_at
 from baselines.estimation.accelerometer import AXES
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
@@ -102,6 +104,14 @@ def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Float
                 jacobian[i, z_at.BIAS + axis] = 1.0 if i == 4 + axis else 0.0
 
 
+class Innovation(NamedTuple):
+    """What a measurement tells of an entry of z."""
+
+    entry: int
+    value: float  # measured less predicted
+    variance: float  # of it
+
+
 @inlined
 def _stays(entry: int) -> bool:
     """Tell whether an entry of z is a constant of which a motor that sticks tells nothing."""
@@ -109,10 +119,9 @@ def _stays(entry: int) -> bool:
 
 
 @compiled
-def _learn(
-    mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, sticks: bool, room: Room
-) -> None:
-    """Correct mean and covariance by the innovation of one entry and its variance."""
+def _learn(mean: Floats, covariance: Floats, new: Innovation, sticks: bool, room: Room) -> None:
+    """Correct mean and covariance by an innovation."""
+    entry, innovation, variance = new
     row, gain = room.row, room.gain
     width = covariance.shape[1]
     for j in range(width):
@@ -310,12 +319,12 @@ def correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, sticks: bool
     variance = covariance[0, 0] + rounding / 12
     noise_factor = tracks.noise_factor[arm]
     tracks.surprise[arm] += _WATCH * (innovation * innovation / variance - tracks.surprise[arm])
-    _learn(z, covariance, 0, innovation, variance, sticks, room)
+    _learn(z, covariance, Innovation(0, innovation, variance), sticks, room)
     for axis in range(axes):
         innovation = seen.acceleration[arm, axis] - z[size + axis]
         noise, mistrust = seen.acceleration_variance[arm, axis], tracks.noise_factor[arm]
         variance = covariance[size + axis, size + axis] + noise * (mistrust * mistrust)
         shock = min(innovation * innovation / variance, _SHOCK)
         noise_factor *= 1 + _WATCH * (shock - 1)
-        _learn(z, covariance, size + axis, innovation, variance, False, room)
+        _learn(z, covariance, Innovation(size + axis, innovation, variance), False, room)
     _watch(design, tracks, arm, noise_factor, measured)

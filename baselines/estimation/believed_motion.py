@@ -158,14 +158,12 @@ def _copy(source: Floats, target: Floats, arms: int, begin: int, end: int) -> No
 
 
 @compiled
-def load_copy(
-    k: int, block: Floats, actions: Floats, beliefs: Floats, nominal: Nominal, commands: Floats, room: Simulation
-) -> None:
-    """Put copies of loaded arms into the first lanes of a block, and the actions of these lanes into theirs.
+def load_copy(k: int, first: int, beliefs: Floats, nominal: Nominal, commands: Floats, room: Simulation) -> None:
+    """Put copies of loaded arms into the block's lanes from `first` on, and the actions of these lanes into theirs.
 
     They are as the arms or, for k > 0, have entry k - 1 perturbed. Other arguments are those of `simulate`.
     """
-    arms, z, ripple = len(beliefs), room.z, room.ripple
+    arms, z, ripple, block, actions = len(beliefs), room.z, room.ripple, room.block[first:], room.actions[first:]
     _copy(room.loaded, block, arms, 0, at.MOVE)
     _copy(room.loaded, block, arms, at.STEP, at.STEP + 1)
     _copy(room.loaded, block, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
@@ -236,8 +234,7 @@ def simulate(
     for part in range((simulations + at_once - 1) // at_once):
         begin, end = part * at_once, min(part * at_once + at_once, simulations)
         for k in range(begin, end):
-            first = (k - begin) * arms
-            load_copy(k, block[first:], room.actions[first:], beliefs, nominal, commands, room)
+            load_copy(k, (k - begin) * arms, beliefs, nominal, commands, room)
         for lane in range((end - begin) * arms if accelerometer else 0):
             tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
             room.velocities[lane], room.velocities[LANES + lane] = tip.x_speed, tip.y_speed

@@ -173,14 +173,15 @@ def _copy(old: Belief, new: Any) -> None:
 
 @compiled
 def _identify_all(
-    thread: int, design: Design, inputs: Inputs, before: Belief, belief: Belief, taken: Integers, rooms: Room
+    thread: int, design: Design, inputs: Inputs, beliefs: tuple[Belief, Belief], taken: Integers, rooms: Room
 ) -> None:
     """Bring the belief about any number of arms up to this sample: some at a time, which caches hold.
 
-    Several threads may do so at a time. `before` is that of the last sample, `belief` itself where all arms begin;
-    of each thread, `taken` says what has been taken of its share, see `take_block`, and `rooms` is its room.
+    Several threads may do so at a time. The first of the two beliefs is that of the last sample, or the second itself
+    where all arms begin; the second is written. Of each thread, `taken` says what has been taken of its share, see
+    `take_block`, and `rooms` is its room.
     """
-    room, count = room_of(rooms, thread), len(inputs.begins)
+    room, count, (before, belief) = room_of(rooms, thread), len(inputs.begins), beliefs
     while True:
         low = take_block(taken, thread, -(-count // ARMS)) * ARMS
         if low < 0:
@@ -275,7 +276,7 @@ class ArmIdentifier:
             assert reading.acceleration is not None, "decoded with the acceleration, see `sensors`"
             seen = unfiltered(reading.acceleration, belief.acceleration if belief else reading.acceleration)
             inputs = inputs._replace(acceleration=seen[0], acceleration_variance=seen[1])
-        self._run(_identify_all, count, inputs, belief or result, result)
+        self._run(_identify_all, count, inputs, (belief or result, result))
         return result._replace(acceleration=reading.acceleration) if self._axes else result
 
     def reset(self, belief: Belief, reading: Reading, begins: Flags) -> Belief:

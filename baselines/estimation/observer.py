@@ -44,6 +44,7 @@ from beltarm_env.kernels.simulate import (
     DRIVE_STATES,
     Room,
     X,
+    action_of,
     advance_arms,
     hold_friction,
     load_arm,
@@ -133,19 +134,18 @@ def observe(
         room: Of an `ArmSimulation` of n arms or more.
     """
     count, limit, size = len(begins), float(design.row[COLUMN.torque_limit]), X + DRIVE_STATES
-    limits, delays = np.full(count, limit), np.full(count, design.delay)
-    torques, predicted = np.empty(count), np.empty((count, size))
+    delays, actions, predicted = np.full(count, design.delay), np.empty(count), np.empty((count, size))
     for i in range(count):
         if begins[i]:
             rest_arm(room.blocks[i // LANES], i % LANES, measured.angle[i], estimates[i, STATE])
             estimates[i, DISTURBANCE] = 0.0
-        torques[i] = acting_torque(0.0 if begins[i] else measured.command[i], estimates[i])
-    advance_arms(room, estimates[:, STATE], torques, limits, LUMPED, predicted)
+        actions[i] = action_of(acting_torque(0.0 if begins[i] else measured.command[i], estimates[i]), limit)
+    advance_arms(room, estimates[:, STATE], actions, LUMPED, predicted)
     for i in range(count):
         if not begins[i]:
             correct(design, measured, i, predicted[i], estimates[i])
-            torques[i] = acting_torque(measured.command[i], estimates[i])
-    look_ahead_arms(room, estimates[:, STATE], torques, limits, delays, LUMPED, estimates[:, AHEAD])
+            actions[i] = action_of(acting_torque(measured.command[i], estimates[i]), limit)
+    look_ahead_arms(room, estimates[:, STATE], actions, delays, LUMPED, estimates[:, AHEAD])
 
 
 class ObservedArm(NamedTuple):

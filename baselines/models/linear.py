@@ -60,8 +60,7 @@ def empty_linear_arm() -> LinearArm:
 @compiled
 def write_linear_arm(row: Any, model: Model, arm: LinearArm) -> None:
     """Write linear models, the belt with its mean stiffness, of an arm with a row of constants, as `ArmParams`."""
-    plant, (a, b, e) = plant_of(row), arm
-    write_sampled_models(plant, plant.stiffness, ANGLES, CONTROL_PERIOD, a, b, e, model)
+    write_sampled_models(plant_of(row), ANGLES, CONTROL_PERIOD, arm, model)
 
 
 def linear_arm_of(row: Floats, model: Model = LUMPED) -> LinearArm:

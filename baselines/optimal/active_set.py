@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
+from baselines.planning.riccati import PricedStep, free_input, no_cost, slope_in_input, step_back
 from beltarm_env.arrays import Floats
 from beltarm_env.engine import compiled, inlined
 
@@ -89,7 +89,8 @@ def _backward(p: Problem, change_weight: float) -> None:
             by_input[i] = p.transition[k, i, SIZE - 1]
             for j in range(SIZE):
                 to_go.matrix[i, j] += p.weight[k, i, j]
-        slope_in_input(SIZE, to_go, p.transition[k], by_input, p.offset[k], change_weight, 0.0, p.slope[k])
+        step = PricedStep(p.transition[k], by_input, p.offset[k], change_weight, 0.0)
+        slope_in_input(SIZE, to_go, step, p.slope[k])
         _choose(p, k)
         step_back(SIZE, to_go, p.transition[k], p.slope[k], p.gain[k], p.constant[k])
 

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
+from baselines.planning.riccati import CostToGo, PricedStep, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
@@ -134,9 +134,8 @@ def sample_change(size: int, sample: Sample, prices: Prices, to_go: CostToGo, ga
         sample.transition[states, i] = 0.0
     sample.transition[states, states] = sample.by_input[states] = 1.0
     pull = prices.smoothness * prices.jump
-    slope_in_input(
-        size, to_go, sample.transition, sample.by_input, sample.nothing, prices.smoothness, pull, sample.slope
-    )
+    step = PricedStep(sample.transition, sample.by_input, sample.nothing, prices.smoothness, pull)
+    slope_in_input(size, to_go, step, sample.slope)
     change = free_input(size, sample.slope, gain)
     left = min(max(change, prices.lowest), prices.highest)
     if left != change:
@@ -185,6 +184,14 @@ def weigh_jump(jump: float, limit: float, soft: float) -> float:
     return 0.5 * TORQUE_RATE_WEIGHT / (max(abs(jump) / limit, soft) * (limit * limit))
 
 
+class Torques(NamedTuple):
+    """Torques of a trial, and between which they may be changed."""
+
+    torque: Floats  # tau [N m], shape (T,)
+    limit: float  # of the next trial's torques [N m]
+    before: float  # torque before the first sample [N m]
+
+
 @compiled
 def optimal_change(
     trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
@@ -201,18 +208,16 @@ def optimal_change(
     steps, states = trial.by_torque.shape
     result = Change(np.empty(steps), np.empty((steps, states + 1)), np.empty(steps))
     if states == 4:
-        _solve(5, trial, weights, torque, limit, before, result)  # a literal: loops are unrolled
+        _solve(5, trial, weights, Torques(torque, limit, before), result)  # a literal: loops are unrolled
     else:
-        _solve(states + 1, trial, weights, torque, limit, before, result)
+        _solve(states + 1, trial, weights, Torques(torque, limit, before), result)
     return result
 
 
 @compiled
-def _solve(
-    size: int, trial: Trial, weights: Weights, torque: Floats, limit: float, before: float, result: Change
-) -> None:
+def _solve(size: int, trial: Trial, weights: Weights, torques: Torques, result: Change) -> None:
     """Write the law, backwards; `size` counts the states of the arm and the last change."""
-    states, to_go, sample = size - 1, no_cost(size), empty_sample(size)
+    states, to_go, sample, (torque, limit, before) = size - 1, no_cost(size), empty_sample(size), torques
     for k in range(len(torque) - 1, -1, -1):
         for i in range(states):
             sample.by_input[i] = trial.by_torque[k, i]

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.models.linear import LinearArm, between, linear_arm_of, place, turning_load
-from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
+from baselines.planning.riccati import CostToGo, PricedStep, free_input, no_cost, slope_in_input, step_back
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
@@ -113,7 +113,7 @@ def plan_backwards(problem: Problem, to_go: CostToGo, first: int, last: int, row
         set_step(problem, now, after, f, g, h)
         for i in range(4):
             f[i, 4] = g[i]
-        slope_in_input(5, to_go, f, g, h, weights.change, 0.0, slope)
+        slope_in_input(5, to_go, PricedStep(f, g, h, weights.change, 0.0), slope)
         gain = rows[k, GAIN:TORQUE]
         rows[k, TORQUE] = free_input(5, slope, gain)
         step_back(5, to_go, f, slope, gain, rows[k, TORQUE])

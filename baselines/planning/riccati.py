@@ -42,22 +42,27 @@ def no_cost(size: int) -> CostToGo:
     return CostToGo(np.zeros((size, size)), np.zeros(size), np.empty((size, size)), np.empty(size), np.empty(size))
 
 
+class PricedStep(NamedTuple):
+    """A step z' = F z + g v + h, which costs R v^2 + 2 q v."""
+
+    by_state: Floats  # F    (n, n)
+    by_input: Floats  # g    (n,)
+    offset: Floats  # h    (n,)
+    price: float  # R, of the input
+    pull: float  # q, of the input
+
+
 @inlined
-def slope_in_input(
-    size: int, to_go: CostToGo, f: Floats, g: Floats, h: Floats, price: float, pull: float, slope: Floats
-) -> None:
+def slope_in_input(size: int, to_go: CostToGo, step: PricedStep, slope: Floats) -> None:
     """Write half the cost's slope in the input, `slope[:n] z + slope[n] + slope[n + 1] v`.
 
     Args:
         size: n, a literal.
         to_go: Cost after the step; its products with F, g and h are written.
-        f: F, shape (n, n).
-        g: Shape (n,).
-        h: Shape (n,).
-        price: R, of the input.
-        pull: q, of the input.
+        step: The step.
         slope: Shape (n + 2,), written.
     """
+    f, g, h, price, pull = step
     for i in range(size):
         by_input, by_offset = 0.0, to_go.vector[i]
         for j in range(size):

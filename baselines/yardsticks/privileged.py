@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,21 +43,26 @@ class PrivilegedMemory:
     number: Integers  # of each arm's move in the one episode that it is made for, shape (n,)
 
 
+class TrueArms(NamedTuple):
+    """What is known of n arms at a time."""
+
+    table: Floats  # constants, columns as `ArmParams`
+    states: Floats  # x, shape (n, 4)
+    direction: Floats  # in which each motor slides; 0 where it sticks, shape (n,)
+
+
 @compiled
-def _write_torques(
-    of: Compensation, table: Floats, states: Floats, direction: Floats, pairs: Floats, time: Floats, torques: Floats
-) -> None:
+def _write_torques(of: Compensation, arms: TrueArms, pairs: Floats, time: Floats, torques: Floats) -> None:
     """Write the torques of n arms.
 
     Args:
         of: What of friction is compensated.
-        table: Constants of the arms, columns as `ArmParams`.
-        states: x at the time at which the torques act, shape (n, 4).
-        direction: In which each motor slides; 0 where it sticks, shape (n,).
+        arms: The arms when the torques act.
         pairs: Rows of their plans before and after that time, shape (n, 2, 10).
         time: It, since the move's start [samples], shape (n,).
         torques: [N m], shape (n,), written.
     """
+    table, states, direction = arms
     for arm in range(len(time)):
         _, share = step_of_plan(time[arm])
         planned = torque_between(pairs[arm, 0], pairs[arm, 1], share, states[arm], 0.0)
@@ -119,7 +125,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         sticks = gives & (np.abs(arms[:, -1]) < SLIPS)
         direction, torques = np.where(sticks, 0.0, np.sign(arms[:, 1])), np.empty(len(begins))
         of = Compensation(self.gains.friction_share, self.gains.rest_width)
-        _write_torques(of, self._table, ahead, direction, rows_at(cache.plans, time), time, torques)
+        _write_torques(of, TrueArms(self._table, ahead, direction), rows_at(cache.plans, time), time, torques)
         return torques / (1 + self._table[:, COLUMN.torque_constant_error]), PrivilegedMemory(cache, arms, number)
 
     @staticmethod

@@ -106,7 +106,8 @@ def _take(block: Floats, lane: int, state: Floats) -> None:
 
 
 @inlined
-def _action(torque: float, limit: float) -> float:
+def action_of(torque: float, limit: float) -> float:
+    """Return the action of a torque [N m]: it over its limit, cut to [-1, 1]."""
     return min(max(torque / limit, -1.0), 1.0)
 
 
@@ -138,7 +139,7 @@ def rest_arms(blocks: Floats, angles: Floats, states: Floats) -> None:
 
 
 @compiled
-def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, model: Model, result: Floats) -> None:
+def advance_arms(room: Room, states: Floats, actions: Floats, model: Model, result: Floats) -> None:
     """Write the states of n arms one control period later, shape (n, size); see `ArmSimulation.advance`."""
     count, size = states.shape
     for k in range((count + LANES - 1) // LANES):
@@ -146,7 +147,7 @@ def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, mo
         block = room.blocks[k]
         for i in range(low, high):
             _put(block, i - low, states[i])
-            room.actions[i - low] = _action(torques[i], limits[i])
+            room.actions[i - low] = actions[i]
         if size > X:
             advance_block(block, room.work, room.actions, high - low, model, REAL)
         else:
@@ -156,9 +157,7 @@ def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, mo
 
 
 @compiled
-def look_ahead_arms(
-    room: Room, states: Floats, torques: Floats, limits: Floats, samples: Floats, model: Model, ahead: Floats
-) -> None:
+def look_ahead_arms(room: Room, states: Floats, actions: Floats, samples: Floats, model: Model, ahead: Floats) -> None:
     """Write x of n arms at times to come, shape (n, 4); see `ArmSimulation.ahead`."""
     count, size = states.shape
     before, after, longest = np.empty((count, size)), np.empty((count, size)), 0.0
@@ -169,7 +168,7 @@ def look_ahead_arms(
             ahead[i, column] = states[i, column]
         longest = max(longest, samples[i])
     for k in range(math.ceil(longest)):
-        advance_arms(room, before, torques, limits, model, after)
+        advance_arms(room, before, actions, model, after)
         for i in range(count):
             move_towards(ahead[i], before[i], after[i], samples[i], k)
         before, after = after, before

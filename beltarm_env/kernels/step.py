@@ -60,9 +60,10 @@ class Rooms(NamedTuple):
     tiles: Singles
 
 
-class Results(NamedTuple):
-    """What a step of N arms comes to."""
+class Exchange(NamedTuple):
+    """What N arms are told in a step, and what comes of it, which is written."""
 
+    actions: Floats  # torque over the torque limit, shape (N,), cut to [-1, 1]
     observations: Singles  # shape (N, size)
     rewards: Floats  # shape (N,)
     terminated: Flags  # shape (N,)
@@ -171,8 +172,7 @@ def step_arms(
     blocks: Floats,
     taken: Integers,
     rooms: Rooms,
-    actions: Floats,
-    results: Results,
+    exchange: Exchange,
     task: Task,
 ) -> None:
     """Step N arms by one control period, those of the blocks that a thread takes; results are written in place.
@@ -182,8 +182,7 @@ def step_arms(
         blocks: The arms, as `layout` describes.
         taken: Of `none_taken`, for as many threads as there are.
         rooms: To work in.
-        actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
-        results: Written.
+        exchange: Actions, and what comes of them.
         task: What is common to all arms.
     """
     scratch, tile = rooms.scratches[thread], rooms.tiles[thread]
@@ -192,14 +191,14 @@ def step_arms(
         if k < 0:
             break
         low = k * LANES
-        high = min(low + LANES, len(actions))
-        _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, results.observations[low:high], task)
-        _give_flags(scratch, TERMINATED, results.terminated[low:high])
-        _give_flags(scratch, TRUNCATED, results.truncated[low:high])
-        _give(scratch, REWARD, results.rewards[low:high])
-        for row in range(len(results.terms)):
-            _give(scratch, TERMS + row, results.terms[row, low:high])
+        high = min(low + LANES, len(exchange.actions))
+        _take_actions(exchange.actions[low:high], scratch)
+        _step_block(blocks[k], scratch, tile, exchange.observations[low:high], task)
+        _give_flags(scratch, TERMINATED, exchange.terminated[low:high])
+        _give_flags(scratch, TRUNCATED, exchange.truncated[low:high])
+        _give(scratch, REWARD, exchange.rewards[low:high])
+        for row in range(len(exchange.terms)):
+            _give(scratch, TERMS + row, exchange.terms[row, low:high])
 
 
 @compiled

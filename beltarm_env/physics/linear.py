@@ -72,14 +72,7 @@ def exponential(matrix: Floats, scale: float) -> Floats:
 
 @compiled
 def write_sampled_models(
-    plant: Plant,
-    stiffness: float,
-    angles: Floats,
-    period: float,
-    transition: Floats,
-    by_torque: Floats,
-    by_acceleration: Floats,
-    model: Model,
+    plant: Plant, angles: Floats, period: float, models: tuple[Floats, Floats, Floats], model: Model
 ) -> None:
     """Write the linear models of one arm behind an ideal drive from one sample to the next, at m joint angles.
 
@@ -88,18 +81,16 @@ def write_sampled_models(
 
     Args:
         plant: Coefficients of the arm.
-        stiffness: Of the belt [N m/rad], in place of the plant's.
         angles: theta_1 [rad], shape (m,).
         period: Between samples [s]; the arm's fastest rate times it has to stay below about 0.2.
-        transition: A, shape (m, 4, 4), written.
-        by_torque: b, shape (m, 4), written.
-        by_acceleration: e, shape (m, 4), written.
+        models: A, shape (m, 4, 4), b and e, each of shape (m, 4); written.
         model: Whose equations of motion. On the full arm, alpha stands for a torque of -M2 alpha at phi.
     """
     held, stepped = np.zeros((_SIZE, _SIZE)), np.empty((4, _SIZE))
+    transition, by_torque, by_acceleration = models
     for k in range(angles.shape[0]):
         _, cosine = sine_cosine(angles[k])
-        _fill(held, plant, stiffness, cosine, model)
+        _fill(held, plant, plant.stiffness, cosine, model)
         write_exponential(held, period, stepped)
         for i in range(4):
             for j in range(4):

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 from math import inf, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,33 +37,46 @@ from eval.comparison.sets import ScenarioSet, require_same_physics, set_of
 from eval.comparison.splits import QUICK_SEEDS, main_split
 
 
+class Own(NamedTuple):
+    """Methods of a user's own."""
+
+    policies: Sequence[Path | str] = ()  # see `learned_methods`
+    added: Sequence[str] = ()  # controllers, see `added_method`
+    results: Path | None = None  # what may hold the names of controllers that were added before
+    time_limit: float = TIME_LIMIT  # of such a controller [s]
+
+
+NONE = Own()
+
+
+class Run(NamedTuple):
+    """How a comparison is run."""
+
+    folder: Path  # in which parts are kept, see `run_parts`
+    options: SideBySide
+    fresh: bool = False  # whether everything is run again
+    done: Callable[[int, int], object] = lambda *_: None
+
+
 def choose_methods(
-    names: Sequence[str],
-    policies: Sequence[Path | str] = (),
-    added: Sequence[str] = (),
-    results: Path | None = None,
-    *,
-    guard: bool = False,
-    time_limit: float = TIME_LIMIT,
-    seeds: int | None = None,
+    names: Sequence[str], own: Own = NONE, *, guard: bool = False, seeds: int | None = None
 ) -> list[Method]:
     """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
 
-    See `learned_methods` for `policies`, `added_method` for `added`, `results` and `time_limit` [s], `shipped_policies`
-    for `seeds`. With `guard` each classical and learned method also runs with the guard.
+    See `shipped_policies` for `seeds`. With `guard` each classical and learned method also runs with the guard.
 
     Raises:
         ValueError: If a name is unknown or given twice, or there is no such file or package.
     """
-    known = [*classical_methods(), *learned_methods([*shipped_policies(seeds), *policies])]
-    known += [added_method(spec, results, time_limit) for spec in added] + [privileged_method()]
+    known = [*classical_methods(), *learned_methods([*shipped_policies(seeds), *own.policies])]
+    known += [added_method(spec, own.results, own.time_limit) for spec in own.added] + [privileged_method()]
     all_names = [method.name for method in known]
     for name in all_names:
         if all_names.count(name) > 1:
             raise ValueError(f"two methods are called {name!r}: give yours another name (a policy: NAME=FOLDER)")
     wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
-    own = {method.name for method in learned_methods(policies)}
-    methods = [method for method in known if method.name in {*wanted, *own} or method.kind == "added"]
+    learned = {method.name for method in learned_methods(own.policies)}
+    methods = [method for method in known if method.name in {*wanted, *learned} or method.kind == "added"]
     if names and [method.name for method in methods] == [PRIVILEGED]:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
     with_guard = ("classical", "learned") if guard else ()
@@ -71,19 +84,8 @@ def choose_methods(
     return [method for pair in pairs for method in pair]
 
 
-def compare(
-    methods: Sequence[Method],
-    scenarios: ScenarioSet,
-    episodes: int,
-    folder: Path,
-    options: SideBySide,
-    *,
-    fresh: bool = False,
-    done: Callable[[int, int], object] = lambda *_: None,
-) -> Comparison:
-    """Run methods on splits and compare their results; parts are kept in `folder`, see `run_parts`.
-
-    With `fresh` everything is run again.
+def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, run: Run) -> Comparison:
+    """Run methods on the first scenarios of splits, and compare their results.
 
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
@@ -91,6 +93,7 @@ def compare(
             they did when the scenarios were drawn, or no method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept, and how to go on.
     """
+    folder = run.folder
     require_writable(folder)
     _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
@@ -102,14 +105,14 @@ def compare(
         if method.name not in failed
     }
     in_order = [part for of_pair in parts.values() for part in of_pair]
-    if fresh:
+    if run.fresh:
         for part in in_order:
             part.file(folder).unlink(missing_ok=True)
     kept = kept_count(in_order, folder)
     try:
-        results = iter(run_parts(in_order, folder, options, done))
+        results = iter(run_parts(in_order, folder, run.options, run.done))
     except KeyboardInterrupt as stop:
-        raise KeyboardInterrupt(f"{stop}, without --fresh" if fresh else str(stop)) from None
+        raise KeyboardInterrupt(f"{stop}, without --fresh" if run.fresh else str(stop)) from None
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
     # Only now, when processes have compiled kernels side by side.
     times = times_of(method for method in methods if method.name not in failed) | failed
@@ -182,16 +185,14 @@ def verify(
     folder: Path,
     options: SideBySide,
     judge: Callable[[Comparison], tuple[list[str], list[dict[str, Any]]]],
-    policies: Sequence[str] = (),
-    added: Sequence[str] = (),
-    time_limit: float = TIME_LIMIT,
+    own: Own = NONE,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[str, bool]:
-    """Run again what the results.json of a folder claims, in a temporary folder; arguments as of `compare`.
+    """Run again what the results.json of a folder claims, in a temporary folder; `options` and `done` as of `Run`.
 
-    Policies and controllers of the user's own are by default those of the command that the results name, and `judge`
-    makes sentences and tests of the verdict. Returns a sentence about the first number or word that differs by more
-    than its tolerance, or about all, and whether all agree.
+    Methods of the user's own are by default those of the command that the results name, and `judge` makes sentences and
+    tests of the verdict. Returns a sentence about the first number or word that differs by more than its tolerance, or
+    about all, and whether all agree.
 
     Raises:
         ValueError: If the results are of other scenarios or of files that no commit has, or a method is not there or
@@ -200,9 +201,9 @@ def verify(
     path = folder / "results.json"
     claimed = read_results(path)
     scenarios, episodes = _claimed_scenarios(claimed, path), claimed["rows"][0]["episodes"]
-    methods = _claimed_methods(claimed, path, policies, added, time_limit)
+    methods = _claimed_methods(claimed, path, own)
     with TemporaryDirectory(prefix="beltarm-") as temporary:
-        comparison = compare(methods, scenarios, episodes, Path(temporary), options, done=done)
+        comparison = compare(methods, scenarios, episodes, Run(Path(temporary), options, done=done))
     for failure in comparison.failures:
         raise ValueError(f"{failure.method} failed on {failure.split}: {failure.message}")
     sentences, primary = judge(comparison)
@@ -227,9 +228,7 @@ def _excess(claimed: _Claim, measured: _Claim) -> float:
     return abs(said - found) / allowed if isfinite(found) else inf
 
 
-def _claimed_methods(
-    claimed: dict[str, Any], path: Path, policies: Sequence[str], added: Sequence[str], time_limit: float
-) -> list[Method]:
+def _claimed_methods(claimed: dict[str, Any], path: Path, own: Own) -> list[Method]:
     """Methods that results are of, which must be there."""
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
     command = shlex.split(claimed["provenance"]["command"])
@@ -237,10 +236,11 @@ def _claimed_methods(
     project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
     known = choose_methods(
         [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
-        policies or [word for option, word in words if option == "--policy"],
-        added or [word for option, word in words if option == "--add"],
+        own._replace(
+            policies=own.policies or [word for option, word in words if option == "--policy"],
+            added=own.added or [word for option, word in words if option == "--add"],
+        ),
         guard=any(name.endswith("+guard") for name in names),
-        time_limit=time_limit,
         seeds=QUICK_SEEDS if "--quick" in command else None,
     )
     methods = {method.name: method for method in known}

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -128,7 +129,7 @@ def main_split(names: Sequence[str]) -> str:
     return next((name for name in ("shift", "randomized") if name in names), names[0])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Split:
     """Scenarios of one split. Of a shift, settings have the number of moves and the ranges that later ones need."""
 
@@ -139,7 +140,16 @@ class Split:
     tables: Floats  # constants of the arms in each move, columns as `ArmParams`     (moves, n, len(FIELDS))
     all_moves: Floats  # start, goal [rad], duration, ramp time [s]     (moves, n, 4)
     delays: Floats  # of the measurements [samples]     (n,)
-    digest: str  # SHA-256 of its content
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of its content."""
+        if len(self.tables) == 1:
+            content = [self.tables[0].tolist(), self.all_moves[0].tolist(), self.delays.tolist()]
+        else:
+            drawn = hashlib.sha256(b"".join(each.tobytes() for each in (self.seeds, self.tables, self.all_moves)))
+            content = [drawn.hexdigest(), self.delays.tolist()]
+        return digest_of([VERSION, self.settings, *content])
 
     @property
     def seed(self) -> int:
@@ -177,14 +187,14 @@ class Split:
     def part(self, rows: slice | Integers) -> Split:
         """Make a split of some of the scenarios."""
         chosen = self.tables[:, rows], self.all_moves[:, rows], self.delays[rows]
-        return make_split(self.name, self.of, self.seeds[rows], self.settings, *chosen)
+        return Split(self.name, self.of, self.seeds[rows], self.settings, *chosen)
 
     def shortened(self, moves: int) -> Split:
         """Make a split of the same scenarios, of which shifts have only their first moves."""
         if len(self.tables) <= moves:
             return self
         settings, few = {**self.settings, "moves": moves}, slice(moves)
-        return make_split(self.name, self.of, self.seeds, settings, self.tables[few], self.all_moves[few], self.delays)
+        return replace(self, settings=settings, tables=self.tables[few], all_moves=self.all_moves[few])
 
 
 def arms_of(tables: Floats) -> list[list[ArmParams]]:
@@ -242,7 +252,7 @@ def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
         moves.append(batch.moves)
     low, high = definition.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
     delays = low + (high - low) * np.array([np.random.default_rng((seed, 1)).random() for seed in seeds])
-    return make_split(name, of, np.array(seeds), settings, np.array(tables), np.array(moves), delays)
+    return Split(name, of, np.array(seeds), settings, np.array(tables), np.array(moves), delays)
 
 
 def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
@@ -255,24 +265,6 @@ def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
     if place + spacing > seeds.size:
         raise ValueError(f"split {name} needs {place + spacing} seeds, its range has {seeds.size}: enlarge it")
     return seeds.first + place
-
-
-def make_split(
-    name: str,
-    of: str,
-    seeds: NDArray[np.int64],
-    settings: dict[str, Any],
-    tables: Floats,
-    all_moves: Floats,
-    delays: Floats,
-) -> Split:
-    """Make a split with its SHA-256."""
-    if len(tables) == 1:
-        content = [VERSION, settings, tables[0].tolist(), all_moves[0].tolist(), delays.tolist()]
-    else:
-        drawn = hashlib.sha256(b"".join(each.tobytes() for each in (seeds, tables, all_moves))).hexdigest()
-        content = [VERSION, settings, drawn, delays.tolist()]
-    return Split(name, of, seeds, settings, tables, all_moves, delays, digest_of(content))
 
 
 def digest_of(content: object) -> str:

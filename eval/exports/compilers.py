@@ -26,6 +26,7 @@ class Toolchain:
 
     compiler: tuple[str, ...]
     runner: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()  # of all programs, such as `SINGLE`
 
     def build(self, sources: list[Path], program: Path, *flags: str) -> None:
         """Compile and link sources.
@@ -33,7 +34,7 @@ class Toolchain:
         Raises:
             ValueError: If that fails, with the compiler's first lines.
         """
-        command = [*self.compiler, *FLAGS, *flags, *map(str, sources), "-o", str(program)]
+        command = [*self.compiler, *FLAGS, *self.flags, *flags, *map(str, sources), "-o", str(program)]
         done = subprocess.run(
             [*command, *([] if "-c" in flags else ["-lm"])], capture_output=True, text=True, check=False
         )

@@ -3,7 +3,6 @@
 import contextlib
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -43,12 +42,11 @@ class InTheLoop:
     """An exported controller as a `Controller` that sees counts alone and, where a move begins, `holds_part`.
 
     Args:
-        folder: Folder with the sources of the controller `name`.
+        folder: Folder with the sources of the controller.
+        loop: What they are of, with the torque limit of the arms.
         moves: Moves of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4), or (moves, n, 4) of several.
-        torque_limit: Torque limit of the arms [N m].
         toolchain: Compiler, and what runs its programs.
         counts_per_turn: Counts of the encoders.
-        flags: Further flags for the compiler, such as `-DBELTARM_SINGLE`.
 
     Raises:
         ValueError: If the sources do not compile, or the program refuses to run.
@@ -59,19 +57,17 @@ class InTheLoop:
     def __init__(
         self,
         folder: Path,
-        name: str,
+        loop: Loop,
         moves: Floats,
-        torque_limit: float,
         toolchain: Toolchain,
         counts_per_turn: int,
-        flags: tuple[str, ...] = (),
     ) -> None:
-        self._limit, self._moves = torque_limit, moves.reshape(-1, *moves.shape[-2:])
+        self._limit, self._moves, name = loop.params.torque_limit, moves.reshape(-1, *moves.shape[-2:]), loop.name
         self._numbers = np.zeros(moves.shape[-2], np.intp)  # of the move that each arm is in
         self._quantum = 2 * np.pi / counts_per_turn
         with contextlib.ExitStack() as stack:
             program = Path(stack.enter_context(tempfile.TemporaryDirectory())) / name
-            toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
+            toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program)
             command, pipe = [*toolchain.runner, str(program)], subprocess.PIPE
             self._process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
             stack.callback(self._process.communicate)
@@ -154,12 +150,11 @@ def compare(
     split: Split,
     episodes: int,
     toolchain: Toolchain | None = None,
-    flags: tuple[str, ...] = (),
 ) -> Agreement:
     """Run the program in a folder beside its controller on the first scenarios of a split.
 
     `python` is the same controller in Python, or what was recorded of it on these scenarios. The compiler is by default
-    this machine's; `flags` are further ones for it.
+    this machine's.
 
     Raises:
         ValueError: If there is no compiler, or the sources do not compile.
@@ -167,7 +162,7 @@ def compare(
     arguments = split.arguments(slice(episodes))
     recording = python if isinstance(python, Recording) else rollout(python, episodes, **arguments)
     moves = recording.moves.reshape(recording.num_moves, -1, 4)
-    with program_for(folder, loop, split, moves, toolchain, flags) as program:
+    with program_for(folder, loop, split, moves, toolchain) as program:
         compiled = rollout(program, episodes, **arguments)
         times = program.times()
     a, b = recording.torque, compiled.torque
@@ -176,9 +171,7 @@ def compare(
     return Agreement(same.size, int(same.sum()), largest, (recording.cost, compiled.cost), times)
 
 
-def program_for(
-    folder: Path, loop: Loop, split: Split, moves: Floats, toolchain: Toolchain | None = None, flags: Sequence[str] = ()
-) -> InTheLoop:
+def program_for(folder: Path, loop: Loop, split: Split, moves: Floats, toolchain: Toolchain | None = None) -> InTheLoop:
     """Compile a program for moves of the first scenarios of a split and start it; see `InTheLoop` and `compare`."""
     counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
-    return InTheLoop(folder, loop.name, moves, loop.params.torque_limit, toolchain or native(), counts, tuple(flags))
+    return InTheLoop(folder, loop, moves, toolchain or native(), counts)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.policy.correction import correct
+from agents.policy.correction import Seen, correct
 from agents.residual.controller import combined
 from agents.residual.knowledge import cut
 from baselines.estimation.filter_design import write_inputs
@@ -169,9 +169,9 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
                 identify(design.filter, memory.filter.inputs, memory.filter.belief, memory.filter.work)
             belief = memory.base.belief if shared else memory.filter.belief
             surprise = belief.tracks.surprise[0]
-        seen = device.observation[0]
+        seen = Seen(device.observation[0], now, belief)
         share, anew = design.correction.limit, device.begins[0] == EPISODE
-        residual = correct(design.correction, seen, base, now, belief, begins, anew, memory.correction)
+        residual = correct(design.correction, seen, base, begins, anew, memory.correction)
         return Proposal(base, share * residual, combined(base, residual, share), surprise)
 
     return propose

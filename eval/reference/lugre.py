@@ -26,14 +26,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, Plant
+from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.batch import ArmBatch
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state
 from beltarm_env.physics import lumped
-from beltarm_env.physics.drive import Drive, angles_of, coupling
+from beltarm_env.physics.drive import angles_of, coupling
+from beltarm_env.physics.models import LUMPED, Arm
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.step import moved, weighted
 from beltarm_env.physics.trigonometry import exponential
@@ -54,17 +55,16 @@ class Bristle(NamedTuple):
 
 
 @inlined
-def _relaxation(x: ArmState, bristle: Bristle, plant: Plant, drive: Drive) -> tuple[float, float]:
+def _relaxation(x: ArmState, bristle: Bristle, arm: Arm) -> tuple[float, float]:
     """Return g [N m] and the rate at which the bristle follows the speed, sigma_0 |omega| / g [1/s]."""
-    g = bristle.level * coupling(x, angles_of(x, plant, drive), plant, drive).friction
+    g = bristle.level * coupling(x, angles_of(x, arm.plant, arm.drive), arm.plant, arm.drive).friction
     return g, bristle.stiffness * abs(x.motor_speed) / g
 
 
 @inlined
-def _slope(
-    x: ArmState, z: float, torque: float, bristle: Bristle, plant: Plant, drive: Drive
-) -> tuple[ArmState, float]:
-    g, rate = _relaxation(x, bristle, plant, drive)
+def _slope(x: ArmState, z: float, torque: float, bristle: Bristle, arm: Arm) -> tuple[ArmState, float]:
+    plant, drive, _ = arm
+    g, rate = _relaxation(x, bristle, arm)
     z_dot = x.motor_speed - rate * z
     damping = bristle.damping / (1 + 0.25 * bristle.damping * abs(x.motor_speed) / g)
     net = torque - bristle.stiffness * z - damping * z_dot
@@ -75,34 +75,27 @@ def _slope(
 
 @inlined
 def _rk4_step(
-    x: ArmState, z: float, torques: tuple[float, float, float], dt: float, bristle: Bristle, plant: Plant, drive: Drive
+    x: ArmState, z: float, torques: tuple[float, float, float], dt: float, bristle: Bristle, arm: Arm
 ) -> tuple[ArmState, float]:
     """Take a classical Runge-Kutta step, with the motor's torque at its beginning, middle and end."""
     first, middle, last = torques
-    k1, z1 = _slope(x, z, first, bristle, plant, drive)
-    k2, z2 = _slope(moved(x, 0.5 * dt, k1), z + 0.5 * dt * z1, middle, bristle, plant, drive)
-    k3, z3 = _slope(moved(x, 0.5 * dt, k2), z + 0.5 * dt * z2, middle, bristle, plant, drive)
-    k4, z4 = _slope(moved(x, dt, k3), z + dt * z3, last, bristle, plant, drive)
+    k1, z1 = _slope(x, z, first, bristle, arm)
+    k2, z2 = _slope(moved(x, 0.5 * dt, k1), z + 0.5 * dt * z1, middle, bristle, arm)
+    k3, z3 = _slope(moved(x, 0.5 * dt, k2), z + 0.5 * dt * z2, middle, bristle, arm)
+    k4, z4 = _slope(moved(x, dt, k3), z + dt * z3, last, bristle, arm)
     return moved(x, dt / 6, weighted(k1, k2, k3, k4)), z + dt / 6 * (z1 + 2 * (z2 + z3) + z4)
 
 
 @compiled
 def advance_bristles(
-    blocks: Floats,
-    bristles: Floats,
-    stiffness: Floats,
-    damping: Floats,
-    actions: Floats,
-    sample: NDArray[np.int64],
-    least: int,
+    blocks: Floats, bristles: Floats, constants: Floats, actions: Floats, sample: NDArray[np.int64], least: int
 ) -> None:
     """Move all arms by one control period, in place.
 
     Args:
         blocks: The arms, as `layout` describes.
         bristles: z [rad], shape (N,); in place.
-        stiffness: sigma_0 [N m/rad], shape (N,).
-        damping: sigma_1 at rest [N m s/rad], shape (N,).
+        constants: sigma_0 [N m/rad] and sigma_1 at rest [N m s/rad], shape (2, N).
         actions: Torques commanded, over their limits, shape (N,).
         sample: Samples since the episodes' start, shape (N,); in place.
         least: Steps per control period, or more where the bristle is quick.
@@ -115,8 +108,8 @@ def advance_bristles(
         worn = 1 + block[at.DRIFT * LANES + j] * (sample[arm] + 0.5)
         block[(at.PLANT + 2) * LANES + j] = block[at.VISCOUS * LANES + j] * worn
         block[(at.PLANT + 3) * LANES + j] = 0.0
-        bristle = Bristle(stiffness[arm], damping[arm], block[at.COULOMB * LANES + j] * worn)
-        plant, drive = load_plant(block, j), load_drive(block, j)
+        bristle = Bristle(constants[0, arm], constants[1, arm], block[at.COULOMB * LANES + j] * worn)
+        moving = Arm(load_plant(block, j), load_drive(block, j), LUMPED)
         x, z = load_state(block, at.STATE, j), bristles[arm]
         late, split = int(block[at.LATE * LANES + j]), block[at.SPLIT * LANES + j]
         lag = block[at.LAG_RATE * LANES + j]
@@ -125,14 +118,14 @@ def advance_bristles(
             remaining = split if piece == 0 else CONTROL_PERIOD - split
             target = block[(at.TARGETS + late + 1 - piece) * LANES + j]
             while remaining > 0.0:
-                _, rate = _relaxation(x, bristle, plant, drive)
+                _, rate = _relaxation(x, bristle, moving)
                 longest = min(CONTROL_PERIOD / least, _LARGEST_STEP / max(rate, 1e-9))
                 count = math.ceil(remaining / longest - 1e-9)
                 dt = remaining / count if count > 1 else remaining
                 half = exponential(-0.5 * lag * dt) if lag > 0.0 else 0.0
                 torque = torque if lag > 0.0 else target
                 middle, last = target + (torque - target) * half, target + (torque - target) * half * half
-                x, z = _rk4_step(x, z, (torque, middle, last), dt, bristle, plant, drive)
+                x, z = _rk4_step(x, z, (torque, middle, last), dt, bristle, moving)
                 torque = last
                 remaining = remaining - dt if count > 1 else 0.0
         store_state(block, at.STATE, j, x)
@@ -153,7 +146,7 @@ class LuGreArms:
     def __init__(self, batch: ArmBatch, deflection: float, steps: int = STEPS) -> None:
         self._blocks = batch.blocks
         self._num_arms, self._deflection, self._steps = batch.num_arms, deflection, steps
-        self._bristles, self._stiffness, self._damping = np.zeros((3, batch.num_arms))
+        self._bristles, self._constants = np.zeros(batch.num_arms), np.zeros((2, batch.num_arms))
         self._sample = np.zeros(batch.num_arms, np.int64)
 
     def check(self, table: Floats) -> None:
@@ -165,13 +158,12 @@ class LuGreArms:
             self._bristles[arms] = 0.0
         breakaway = table[:, COLUMN.coulomb_friction] * (1 + table[:, COLUMN.static_friction_excess])
         stiffness = breakaway / self._deflection
-        self._stiffness[arms], self._sample[arms] = stiffness, 0
-        self._damping[arms] = SHARE_OF_CRITICAL * 2 * np.sqrt(stiffness * table[:, COLUMN.motor_inertia])
+        self._constants[0, arms], self._sample[arms] = stiffness, 0
+        self._constants[1, arms] = SHARE_OF_CRITICAL * 2 * np.sqrt(stiffness * table[:, COLUMN.motor_inertia])
 
     def advance(self, actions: Floats) -> Floats:
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
-        constants = self._stiffness, self._damping
-        advance_bristles(self._blocks, self._bristles, *constants, actions, self._sample, self._steps)
+        advance_bristles(self._blocks, self._bristles, self._constants, actions, self._sample, self._steps)
         return at.rows(self._blocks, at.STATE, 4, self._num_arms)
 
     def torques(self) -> Floats:

@@ -170,12 +170,13 @@ def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: t
     )
     for label, heights, colour in strips:
         surface.blit(font.render(label, True, _INK), (12, top + 3))
-        _strip(pygame, surface, top + _LABEL, heights[: k + 1], len(track.motion.time), move, colour)
+        _strip(surface, top + _LABEL, heights[: k + 1], len(track.motion.time), move, colour)
         top += _LABEL + _STRIP
 
 
-def _strip(pygame: Any, surface: Any, top: int, heights: np.ndarray, count: int, move: float, colour: Any) -> None:
+def _strip(surface: Any, top: int, heights: np.ndarray, count: int, move: float, colour: Any) -> None:
     """Draw a quantity from 0 to 1 over time, the move shaded."""
+    pygame = import_pygame()
     width = _COLUMN - 24
     pygame.draw.rect(surface, _SHADE, (12, top, move * width, _STRIP))
     pygame.draw.rect(surface, _PALE, (12, top, width, _STRIP), 1)

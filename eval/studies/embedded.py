@@ -5,7 +5,7 @@ and in single precision.
 """
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +82,8 @@ def _row(name: str, splits: list[Split], episodes: int) -> dict[str, Any]:
         recordings, errors = _with_single_precision(folder, loop, controller, splits, episodes)
 
         def agreements(folder: Path, loop: Loop, *flags: str) -> list[Agreement]:
-            pairs = zip(recordings, splits, strict=True)
-            return [compare(folder, loop, python, split, episodes, flags=flags) for python, split in pairs]
+            pairs, toolchain = zip(recordings, splits, strict=True), replace(native(), flags=flags)
+            return [compare(folder, loop, python, split, episodes, toolchain) for python, split in pairs]
 
         double, single = agreements(folder, loop), agreements(folder, loop, *_ANYWAY)
         sizes = {core: footprint(folder, loop.name, core) for core in processors_for(loop.identifies)}
@@ -121,10 +121,9 @@ def _with_single_precision(
     folder: Path, loop: Loop, controller: Controller, splits: list[Split], episodes: int
 ) -> tuple[list[Recording], Floats]:
     """Record a controller on splits; and a program's errors in single precision over the limit, for the same counts."""
-    errors: list[Floats] = []
-    recordings = []
+    errors, recordings, in_single = list[Floats](), list[Recording](), replace(native(), flags=_ANYWAY)
     for split in splits:
-        with program_for(folder, loop, split, split.all_moves[:, :episodes], flags=_ANYWAY) as program:
+        with program_for(folder, loop, split, split.all_moves[:, :episodes], in_single) as program:
 
             class Both:
                 params, profile = loop.params, program.profile

@@ -10,7 +10,7 @@ from bundles import new_weights
 from refusals import refused
 
 from agents.policy.bundle import POLICIES, BundleSpec, are_alike, load_controller, read_spec, save_bundle
-from agents.policy.correction import correct, correction
+from agents.policy.correction import Seen, correct, correction
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combined
@@ -108,7 +108,9 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
         assert memory.informed is not None
         base, reading = memory.informed.action[0, 0], memory.informed.reading
         now = NOTHING if reading is None else sample_of(reading, 0)
-        residual = correct(kernel.design, seen[0], base, now, memory.informed.belief, begins, begins, kernel.memory)
+        residual = correct(
+            kernel.design, Seen(seen[0], now, memory.informed.belief), base, begins, begins, kernel.memory
+        )
         assert residual == memory.residual[0, 0]
         assert combined(base, residual, kernel.design.limit) == action[0, 0]
         residuals.append(residual)

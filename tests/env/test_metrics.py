@@ -14,7 +14,7 @@ import beltarm_env.recording
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Floats
-from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, episode_metrics
+from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, Episodes, episode_metrics
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import SHORTEST, WORKSPACE
 
@@ -38,7 +38,7 @@ def evaluate(**signals: Any) -> dict[str, float]:
     columns = [np.asarray(value, np.float64) for value in given_signals.values()]
     columns[:2] = [np.column_stack([c, np.zeros(EPISODE_STEPS)]) if c.ndim == 1 else c for c in columns[:2]]
     arms: Any = [column[:, None] for column in columns[:3]] + [column[None] for column in columns[3:]]
-    metrics = episode_metrics(*arms[:-1], arms[-1].astype(np.bool_))  # pyright: ignore[reportCallIssue]
+    metrics = episode_metrics(Episodes(*arms[:-1], arms[-1].astype(np.bool_)))  # pyright: ignore[reportCallIssue]
     assert list(metrics) == list(METRICS)
     assert all(value.shape == (1,) for value in metrics.values())
     return {name: float(value[0]) for name, value in metrics.items()}

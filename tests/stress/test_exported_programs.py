@@ -1,5 +1,6 @@
 """Controllers in C, compiled with sanitizers, beside Python's: bit for bit, also on faulty encoder counts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,8 @@ def compare(
     guard = getattr(loop.design, "guard", None)
     slew = np.inf if guard is None else guard.slew
     encoders, devices = FaultyEncoders(counts_of(seen, quantum), rng), [empty_device() for _ in range(ARMS)]
-    program = InTheLoop(folder, loop.name, split.moves[:ARMS], limit, toolchain, per_turn, (*SANITISED, "-O1"))
+    sanitising = replace(toolchain, flags=(*SANITISED, "-O1"))
+    program = InTheLoop(folder, loop, split.moves[:ARMS], sanitising, per_turn)
     state, last = None, np.zeros(ARMS)
     with program:
         for sample in range(LENGTH):

@@ -33,7 +33,7 @@ from agents.learners.ppo import PpoConfig
 from agents.policy.bundle import POLICY_FILE, read_bundle
 from agents.runs.training import train
 from baselines.engines.parallel import SideBySide
-from eval.comparison.run import choose_methods, compare
+from eval.comparison.run import Run, choose_methods, compare
 from eval.comparison.schema import read_results, write_results
 from eval.comparison.sets import development_set
 
@@ -77,7 +77,7 @@ def _compare(folder: Path) -> None:
     if (folder / "results.json").exists():
         read_results(folder / "results.json")
     nominal = development_set().only(["nominal"])
-    write_results(compare(choose_methods(("paper", "rigid")), nominal, 4, folder, SideBySide(jobs=1)), folder)
+    write_results(compare(choose_methods(("paper", "rigid")), nominal, 4, Run(folder, SideBySide(jobs=1))), folder)
 
 
 def _comparison(folder: Path) -> dict[str, Any]:

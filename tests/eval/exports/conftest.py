@@ -52,7 +52,8 @@ class Exported:
         if moves > 1:
             scenarios = replace(scenarios, settings={**scenarios.settings, "moves": moves, "randomization": "train"})
         python = in_python(self.source, self.guard)
-        agreement = compare(self.folder, self.loop, python, scenarios, 1, toolchain or self.toolchain, flags)
+        with_flags = replace(toolchain or self.toolchain, flags=flags)
+        agreement = compare(self.folder, self.loop, python, scenarios, 1, with_flags)
         assert agreement.samples > 1000
         assert agreement.equal == agreement.samples, f"{split}: {agreement.words()}, by {agreement.largest} at most"
         assert np.array_equal(*agreement.costs)
