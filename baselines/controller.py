@@ -8,7 +8,8 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from baselines.reading import Reading, beginning, read, sample_of
+from baselines.gains import AnyGains
+from baselines.reading import Reading, beginning, checked_memory, one_or_many, read, sample_of
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -53,6 +54,7 @@ class ClassicalController(ABC, Generic[Memory]):
             Torque [N m], shape (n,), and the memory for the next call.
         """
 
+    @one_or_many
     def predict(
         self,
         observation: Singles,
@@ -60,7 +62,11 @@ class ClassicalController(ABC, Generic[Memory]):
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, Memory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+
+        Raises:
+            ValueError: If observations, state or `episode_start` have another shape, or a number is not finite.
+        """
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, observation, self.remembers), state)
         action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
@@ -104,10 +110,20 @@ class ScalarController(ClassicalController[Floats]):
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         count, (law, design, _) = len(begins), self.kernel()
-        memory = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
-        torques = np.empty(count)
-        run_law(law, design, reading, begins, memory, torques)
-        return torques, memory
+        following, torques = checked_memory(memory, count, self.memory_size), np.empty(count)
+        run_law(law, design, reading, begins, following, torques)
+        return torques, following
+
+
+def own_gains(gains: Any, kind: type[AnyGains]) -> AnyGains:
+    """Return the gains of a controller: as given, or those before tuning.
+
+    Raises:
+        TypeError: If they are of another kind.
+    """
+    if gains is not None and not isinstance(gains, kind):
+        raise TypeError(f"gains must be {kind.__name__}, got {type(gains).__name__}")
+    return kind() if gains is None else gains
 
 
 class TunedController(ClassicalController[Memory]):
@@ -116,14 +132,22 @@ class TunedController(ClassicalController[Memory]):
     Args:
         gains: Of this type; those before tuning if not given.
         params: The design model.
+
+    Raises:
+        TypeError: If the gains are those of another controller.
     """
 
     gains_type: ClassVar[type[Any]]
 
     def __init__(self, gains: Any = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains: Any = gains or self.gains_type()
+        self._gains = own_gains(gains, self.gains_type)
         self._design = self._known()
+
+    @property
+    def gains(self) -> Any:
+        """The gains; other ones take another controller, since the law follows from them."""
+        return self._gains
 
     @abstractmethod
     def _known(self) -> Any:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
+from functools import wraps
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from beltarm_env import CONTROL_PERIOD, ArmParams, observation
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import ROUNDER
@@ -72,7 +75,9 @@ _SCALES = observation.scales()
 _ENCODER_SIZE = len(_SCALES)  # other tiers have their own entries after it
 _BEFORE_STEP = tuple(map(observation.index, ("motor_angle_error", "motor_speed_error", *Sample._fields[2:11])))
 """Entries of an observation, in the order of a `Sample`'s fields up to the step."""
+_STEP = _MOVE_FIELD + 4  # of a `Sample`'s fields
 _ELAPSED, _LAST, _HOLDS = map(observation.index, ("elapsed_time", "last_command", "holds_part"))
+_FORGOTTEN = "predict was called amid a move with state=None, and begins anew: pass the state that it returned last"
 _FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_ELAPSED]  # elapsed time that belongs to the first sample, scaled
 
 
@@ -89,6 +94,22 @@ def sample_from(seen: Singles, torque_limit: float) -> Sample:
     return Sample._make((*entries, int((elapsed + ROUNDER) - ROUNDER), command, holds_part))
 
 
+def one_or_many(predict: Callable[..., tuple[Singles, Any]]) -> Callable[..., tuple[Singles, Any]]:
+    """Let a method `predict` take the observation of a single arm, of shape (size,), as well; its action is (1,)."""
+
+    @wraps(predict)
+    def either(
+        self: Any, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        seen = np.asarray(observation)
+        if seen.ndim != 1:
+            return predict(self, seen, state, episode_start, deterministic)
+        action, memory = predict(self, seen[None], state, episode_start, deterministic)
+        return action[0], memory
+
+    return either
+
+
 def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:
     """Decode observations of shape (n, size).
 
@@ -98,7 +119,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         sensors: "encoder", "full" for the torsion as well, or "accelerometer" for the tip's acceleration.
 
     Raises:
-        ValueError: If there are fewer entries than the sensors have.
+        ValueError: If there are fewer entries than the sensors have, or one of them is not finite.
     """
     size = observation.size(sensors)
     if observations.ndim != 2 or observations.shape[1] < size:
@@ -106,17 +127,30 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
     seen = np.empty((len(Sample._fields), len(observations)))
     _write_samples(np.ascontiguousarray(observations[:, :_ENCODER_SIZE]), params.torque_limit, seen)
+    step = seen[_STEP]
+    if not np.isfinite(seen.sum()) or not np.all((step >= 0) & (step <= EPISODE_STEPS)):
+        raise ValueError(
+            f"observations must be finite, and elapsed_time within 0 and 1.8 s, got {_worst(observations)}"
+        )
     extra = observations[:, _ENCODER_SIZE:size] * observation.scales(sensors)[_ENCODER_SIZE:]
     start = _MOVE_FIELD
     return Reading(
         *seen[:start],
-        move=np.ascontiguousarray(seen[start : start + 4].T),
-        step=seen[start + 4].astype(np.intp),
-        last_command=seen[start + 5],
-        holds_part=seen[start + 6],
+        move=np.ascontiguousarray(seen[start:_STEP].T),
+        step=step.astype(np.intp),
+        last_command=seen[_STEP + 1],
+        holds_part=seen[_STEP + 2],
         torsion=extra if sensors == "full" else None,
         acceleration=extra if sensors == "accelerometer" else None,
     )
+
+
+def _worst(observations: Singles) -> str:
+    """Name an entry of an observation that no sensor gives."""
+    wrong, elapsed = ~np.isfinite(observations[:, :_ENCODER_SIZE]), observations[:, _ELAPSED]
+    wrong[:, _ELAPSED] |= (elapsed < -_FIRST) | (elapsed >= (2 * EPISODE_STEPS + 1) * _FIRST)
+    arm, entry = np.argwhere(wrong)[0]
+    return f"{observation.ENTRIES['encoder'][entry].name} {observations[arm, entry]:g} for arm {arm}"
 
 
 @compiled
@@ -139,13 +173,45 @@ def beginning(memory: object, episode_start: Flags | None, observations: Singles
 
     Args:
         memory: Of a controller, None before its first call.
-        episode_start: Which arms begin an episode, shape (n,); None for none of them.
+        episode_start: Which arms begin an episode, shape (n,), or one flag for all; None for none of them.
         observations: Shape (n, size).
         remembers: Whether the controller's memory lasts from move to move, so that only an episode begins anew.
+
+    Raises:
+        ValueError: If `episode_start` has another shape.
+    """
+    count = len(observations)
+    started = np.asarray(False if episode_start is None else episode_start, np.bool_)
+    if started.shape not in ((count,), (1,), ()):
+        raise ValueError(f"episode_start must have shape ({count},) for as many observations, got {started.shape}")
+    if memory is None:
+        if episode_start is None and (observations[:, _ELAPSED] >= _FIRST).any():
+            warnings.warn(_FORGOTTEN, stacklevel=4)
+        return np.ones(count, np.bool_)
+    return np.broadcast_to(started, count).copy() if remembers else (observations[:, _ELAPSED] < _FIRST) | started
+
+
+def require_memory(memory: object, kind: type) -> None:
+    """Refuse, by ValueError, what is neither None nor the memory of a kind of controllers."""
+    if memory is not None and not isinstance(memory, kind):
+        name = type(memory).__name__
+        raise ValueError(
+            f"state must be the {kind.__name__} that this controller returned, got {name}: begin with None"
+        )
+
+
+def checked_memory(memory: Any, *shape: int) -> Any:
+    """Copy an array that a controller remembers, after a look at its shape; zeros where nothing is remembered yet.
+
+    Raises:
+        ValueError: If it is none of this shape: the memory of other arms, or of another controller.
     """
     if memory is None:
-        return np.ones(len(observations), np.bool_)
-    if remembers:
-        return np.zeros(len(observations), np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
-    begins = observations[:, _ELAPSED] < _FIRST
-    return begins if episode_start is None else begins | np.asarray(episode_start, np.bool_)
+        return np.zeros(shape)
+    if not isinstance(memory, np.ndarray) or memory.shape != shape:
+        found = f"shape {memory.shape}" if isinstance(memory, np.ndarray) else type(memory).__name__
+        raise ValueError(
+            f"state must be what this controller returned for these {shape[0]} observations, of shape {shape}, got "
+            f"{found}: begin with state=None"
+        )
+    return memory.copy()

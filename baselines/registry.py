@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from baselines.gains import tuned
+from baselines.gains import Gains, tuned
 from baselines.optimal.adaptive import AccelerometerAdaptiveController, AdaptiveController
 from baselines.optimal.lqg import LqgController
 from baselines.optimal.mpc import MpcController
@@ -39,18 +39,20 @@ TUNABLE: dict[str, type[Any]] = {
 """Controllers that `baselines/tune.py` tunes, by name: made from gains of their `gains_type`, and `params`."""
 
 
-def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
-    """Make one of `TUNABLE` with its gains of `gains.json`.
+def tuned_controller(name: str, params: ArmParams | None = None, gains: Gains | None = None) -> Any:
+    """Make one of `TUNABLE` with its gains of `gains.json`, or with others.
 
     Args:
         name: Of the controller.
+        gains: Of its `gains_type`; the tuned ones if not given.
         params: The design model, see `baselines.controller`.
 
     Raises:
+        TypeError: If the gains are those of another controller.
         ValueError: If there is none with gains of this name, or the file of gains is damaged or out of date.
     """
     require_known((name,), TUNABLE, "no controller with gains is called {}")
-    return TUNABLE[name](tuned(name, TUNABLE[name].gains_type), params=params)
+    return TUNABLE[name](gains or tuned(name, TUNABLE[name].gains_type), params=params)
 
 
 CONTROLLERS: dict[str, Callable[..., Any]] = {
@@ -60,7 +62,8 @@ CONTROLLERS: dict[str, Callable[..., Any]] = {
 }
 """Controllers by the name used on command lines, in results and in policy bundles.
 
-Call without arguments, or with `params` for arms with another gear ratio or torque limit than the nominal one's.
+Call without arguments, with `params` for arms with another gear ratio or torque limit than the nominal one's, or with
+`gains`: `CONTROLLERS["flat"](gains=replace(tuned("flat", FlatGains), angle=300.0))`.
 """
 
 DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -180,7 +181,9 @@ class ArmBatch:
             TypeError: If a value is not numeric.
         """
         options = checked_names("options", options, ("params", "move", "state"))
-        given_params = checked_names("options['params']", options.get("params"), FIELDS)
+        params = options.get("params")
+        params = asdict(params) if isinstance(params, ArmParams) else params
+        given_params = checked_names("options['params']", params, FIELDS)
         given_move = checked_names("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 

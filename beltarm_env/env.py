@@ -203,10 +203,10 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
 
         Args:
             seed: Seed of `np_random`, from which parameters and move are drawn.
-            options: What to fix instead of drawing it: `params`, a mapping of `ArmParams` fields; `move`, a mapping of
-                `start`, `goal` [rad], `duration`, `ramp_time` [s]; `state`, x at the start (default: at rest at the
-                move's start). Of an episode of several moves, `move`, `payload_mass` and `friction_drift` are the
-                first one's.
+            options: What to fix instead of drawing it: `params`, an `ArmParams` or a mapping of some of its fields;
+                `move`, a mapping of `start`, `goal` [rad], `duration`, `ramp_time` [s]; `state`, x at the start
+                (default: at rest at the move's start; a state does not choose the move, so give its start too). Of an
+                episode of several moves, `move`, `payload_mass` and `friction_drift` are the first one's.
 
         Raises:
             ValueError: On an unknown name or a value out of range.

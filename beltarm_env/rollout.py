@@ -33,6 +33,7 @@ __all__ = [
     "nominal_params",
     "nominal_profile",
     "record",
+    "require_controller",
     "rollout",
 ]
 
@@ -155,18 +156,29 @@ def rollout(
             torque limit or another reference, or it returns another shape or NaN.
         TypeError: If the controller has no `predict`.
     """
-    _require_controller(controller)
+    require_controller(controller)
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     return record(controller, env, seed=seed, options=options)
 
 
-def _require_controller(controller: object) -> None:
-    """Raise TypeError, saying how to make one, unless it is a controller."""
+def require_controller(controller: object) -> None:
+    """Check that an object is a controller.
+
+    Raises:
+        TypeError: If it is none, saying how to make one.
+        ValueError: If it is a model of Stable-Baselines3 that learned on observations changed by `VecNormalize`.
+    """
     if isinstance(controller, str):
         found = f"the name {controller!r}: baselines.CONTROLLERS[{controller!r}]() makes a classical one of that name"
     elif isinstance(controller, type):
         found = f"the class {controller.__name__}: {controller.__name__}() makes one"
     elif callable(getattr(controller, "predict", None)):
+        normalised = getattr(type(controller), "get_vec_normalize_env", None)
+        if normalised is not None and normalised(controller) is not None:
+            raise ValueError(
+                f"{type(controller).__name__} learned on observations that VecNormalize had changed, and would see "
+                "others: give it `norm.normalize_obs(observation)` in a class of your own, see docs/guide/faq.md"
+            )
         return
     else:
         found = reprlib.repr(controller)
@@ -208,7 +220,12 @@ def record(
     for move in range(num_moves):
         made.params[move], made.moves[move] = env.params_table, env.moves
         for k in range(EPISODE_STEPS):
-            action, memory = controller.predict(observation, memory, start, deterministic=True)
+            answer = controller.predict(observation, memory, start, deterministic=True)
+            if not isinstance(answer, tuple) or len(answer) != 2:
+                raise ValueError(
+                    f"{type(controller).__name__}.predict must return (action, state), got {type(answer).__name__}"
+                )
+            action, memory = answer
             observation, reward, terminated, truncated, _ = env.step(action)
             made.torque[k, move], made.states[k, move], made.errors[k, move] = action[:, 0], env.state, env.tip_errors()
             made.cost[move] -= reward * staying

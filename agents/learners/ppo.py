@@ -79,7 +79,7 @@ _SHARED = ("moves", "arms", "validation_every", "validation_arms", "rollout_step
 ALONE: dict[str, Any] = {
     **{name: getattr(OnPolicyConfig, name) for name in (*_SHARED, "torque_price", "residual_limit")},
     **{"total_steps": 6_000_000, "learning_rate": 3.5e-4, "initial_log_std": -0.66, "reward_scale": 0.036},
-    **{"hidden": [256, 256], "critic_steps": 0},
+    "hidden": [256, 256],
 }
 """Options of PPO without a teacher, where none are given: searched on `paper`, see docs/science/training.md."""
 
@@ -118,13 +118,17 @@ class PpoConfig(OnPolicyConfig):
     trial and error: single moves, much noise, large steps, 6 million agent steps."""
     teacher_arms: int = 128
     """Arms of such a round."""
-    critic_steps: int = 140_000
-    """Agent steps, after those rounds, in which the critic learns alone."""
+    critic_steps: int | None = None
+    """Agent steps, after those rounds, in which the critic learns alone. Default: 140000, or a third of --total-steps
+    if that is less; none without rounds."""
 
     def __post_init__(self) -> None:
-        """Fill in the rounds that stand where none are given."""
+        """Fill in the rounds, and the critic's steps, that stand where none are given."""
         if self.teacher_rounds is None:
             object.__setattr__(self, "teacher_rounds", 10 if self.base == "adaptive" else 0)
+        if self.critic_steps is None:
+            taught = min(140_000, self.total_steps * 7 // 20)
+            object.__setattr__(self, "critic_steps", taught if self.teacher_rounds else 0)
 
     def usual(self) -> dict[str, Any]:
         """Options that stand for those not given, see `RunConfig.usual`."""
@@ -168,7 +172,7 @@ class PpoConfig(OnPolicyConfig):
             warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
             extractor = {"features_extractor_class": StandardisedInputs} if self.teacher_rounds else {}
             model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
-        model.critic_steps = self.critic_steps
+        model.critic_steps = self.critic_steps or 0
         return model
 
 

@@ -32,7 +32,8 @@ class ReinforcementConfig(RunConfig):
     log_interval: ClassVar[int] = 10  # iterations, or episodes off-policy, between rows of the training log
 
     total_steps: int = 4_000_000
-    """Agent steps of the whole run, each of --hold samples. A learning rate that falls reaches zero at the end."""
+    """Agent steps of the whole run, each of --hold samples, or some more: rollouts are made as a whole. A learning rate
+    that falls reaches zero at the end."""
     gamma: float = 0.97
     """Discount per agent step."""
     reward_scale: float = 0.08

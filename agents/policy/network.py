@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from agents.policy.weights import ACTIVATIONS, FARTHEST, Weights
 from agents.residual.knowledge import cut
-from baselines.reading import chosen
+from baselines.reading import chosen, one_or_many
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.engine import compiled, in_threads, inlined
 from beltarm_env.engine.blocks import none_taken, take_block, usual_threads
@@ -69,6 +69,7 @@ class NetworkPolicy:
         self.widest = max(shape.gates, *shape.widths)
         """Width of the widest layer, gates side by side."""
 
+    @one_or_many
     def predict(
         self,
         observation: Singles,
@@ -105,7 +106,9 @@ def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) ->
     """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
     memory = np.zeros(shape, np.float32)
     if state is not None:
-        memory = state if start is None else chosen(start, memory, state)
+        if np.shape(state) != shape:
+            raise ValueError(f"state must have shape {shape}, got {np.shape(state)}: begin with state=None")
+        memory = state if start is None else chosen(np.broadcast_to(start, len(state)), memory, state)
     return memory
 
 

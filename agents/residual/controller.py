@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
-from baselines.reading import beginning, chosen
+from baselines.reading import beginning, checked_memory, chosen, one_or_many, require_memory
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
-from beltarm_env.rollout import Controller
+from beltarm_env.rollout import Controller, require_controller
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def _combine_all(base_actions: Singles, residuals: Singles, limit: float, action
 
 
 def checked_residual(residual: object, count: int) -> Singles:
-    """Check residuals, and return them in shape (count, 1).
+    """Check residuals, and return them in shape (count, 1), cut to [-1, 1].
 
     Raises:
         ValueError: If they have another shape or are not finite numbers.
@@ -77,7 +77,7 @@ def checked_residual(residual: object, count: int) -> Singles:
         raise ValueError(f"residuals must be numbers of shape ({count}, 1), got {array.dtype} of shape {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"residuals must be finite, got {array[~np.isfinite(array)][0]}")
-    return array.astype(np.float32, copy=False)
+    return np.clip(array, -1.0, 1.0).astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +98,10 @@ class ResidualController:
         policy: From what an agent observes (`agents.residual.knowledge`) to residuals, called as a controller is.
         settings: How the residual acts.
 
+    Raises:
+        TypeError: If one of the two has no `predict`.
+        ValueError: If the policy saw observations that a `VecNormalize` had changed.
+
     Attributes:
         params: Arm that it is made for, see `Controller`.
         profile: Shape of the reference that its base rebuilds.
@@ -107,11 +111,13 @@ class ResidualController:
     """The policy's memory lasts from move to move; base and belief begin anew with each if the base's does not last."""
 
     def __init__(self, base: Controller, policy: Controller, settings: ResidualSettings) -> None:
+        require_controller(policy)
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
         self.params, self.profile = self.informed.params, self.informed.profile
 
+    @one_or_many
     def predict(
         self,
         observation: Singles,
@@ -119,19 +125,29 @@ class ResidualController:
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, ResidualMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+
+        Raises:
+            ValueError: If observations, state, `episode_start` or the policy's residuals have another shape, or a
+                number is not finite.
+        """
+        require_memory(state, ResidualMemory)
         count = len(observation)
         if state is None:
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
         anew = beginning(state.informed, episode_start, observation, self.remembers)
         begins = beginning(state.informed, anew, observation, self.informed.remembers)
         informed = self.informed.advance(observation, state.informed, begins)
-        age = np.where(begins, 0, state.age)
+        age = np.where(begins, 0, checked_memory(state.age, count))
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0
         if due.any():
             seen = self.informed.seen(observation, informed)
             fresh, following = self.policy.predict(seen, policy, anew, deterministic)
+            fresh = np.clip(np.asarray(fresh, np.float32), -1.0, 1.0)  # what is no number stays none, for the guard
+            if fresh.shape != (count, 1):
+                name = type(self.policy).__name__
+                raise ValueError(f"{name} must return residuals of shape ({count}, 1), got {fresh.shape}")
             residual = np.where(due[:, None], fresh, residual)
             policy = _where(due, following, policy)
         action = combine(informed.action, residual, self.settings.limit)

@@ -8,7 +8,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual.controller import ResidualSettings, checked_residual, combine
@@ -19,14 +21,22 @@ from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, check_data_sheet, check_profile, check_sensors
 
 
-class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
-    """One arm whose action is a residual on a base controller; a step is `hold` samples, its reward their sum."""
+class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles], RecordConstructorArgs):
+    """One arm whose action is a residual on a base controller; a step is `hold` samples, its reward their sum.
+
+    Raises:
+        TypeError: If it is no arm, or the base is no controller.
+        ValueError: If a wrapper has changed what the arm shows or is told: the base would read and command other units.
+    """
 
     def __init__(self, env: gym.Env[Singles, Singles], base: Controller, settings: ResidualSettings) -> None:
+        RecordConstructorArgs.__init__(self, base=base, settings=settings)
         super().__init__(env)
         if not isinstance(env.unwrapped, BeltArmEnv):
             raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
         self._arm = env.unwrapped
+        if (env.observation_space, env.action_space) != (self._arm.observation_space, self._arm.action_space):
+            raise ValueError(f"the base needs the arm's own observations and actions, got {env}: put ResidualEnv first")
         check_profile(base, self._arm.profile)
         check_sensors(base, self._arm.sensors)
         self.informed = InformedBase(base, settings.knowledge)
@@ -64,7 +74,10 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
 
 
 class ResidualVecEnv(VecEnv):
-    """A batch of arms for Stable-Baselines3, whose actions are residuals on a base controller.
+    """A batch of arms for Stable-Baselines3, whose actions are residuals on a base controller, cut to [-1, 1].
+
+    Rollouts for learning may begin amid episodes, of which the base alone has moved the beginning (`stagger`). To
+    evaluate an agent, use `beltarm_env.rollout.rollout` with a `ResidualController`, or another batch without it.
 
     Same-step reset with `terminal_observation` and `TimeLimit.truncated`. An arm that ends within a hold goes on in its
     new episode under the base alone until the hold is over.
@@ -90,6 +103,8 @@ class ResidualVecEnv(VecEnv):
         worst_reward: float = np.inf,
         stagger: bool = True,
     ) -> None:
+        if not isinstance(env, BeltArmVectorEnv):
+            raise TypeError(f"ResidualVecEnv takes a BeltArmVectorEnv, unwrapped, got {env!r}")
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
         check_profile(base, env.profile)
@@ -206,5 +221,5 @@ class ResidualVecEnv(VecEnv):
         raise NotImplementedError(f"the arms of a batch are not environments of their own; cannot call {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
-        """Return False for every arm asked for: none is wrapped."""
-        return [False for _ in self._get_indices(indices)]
+        """Return whether the arms asked for do what a wrapper does: they monitor their episodes."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]

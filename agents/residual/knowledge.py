@@ -33,7 +33,7 @@ from beltarm_env.engine import compiled, inlined
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState
-from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params, nominal_profile
+from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params, nominal_profile, require_controller
 
 Knowledge = Literal["belief", "none"]
 
@@ -181,6 +181,7 @@ class InformedBase:
     """
 
     def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
+        require_controller(base)
         self.base: Any = base
         self.knowledge: Knowledge = knowledge
         self.remembers = bool(getattr(base, "remembers", False))

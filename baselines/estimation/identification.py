@@ -34,7 +34,7 @@ from baselines.estimation.filter_design import (
     room_of,
 )
 from baselines.estimation.observer import QUANTUM
-from baselines.reading import Reading
+from baselines.reading import Reading, checked_memory
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
@@ -268,8 +268,13 @@ class ArmIdentifier:
             reading: Measurements, and the torque commanded at the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,). Of
                 others what is known lasts, but for a part that is picked or placed where the reading begins a move.
+
+        Raises:
+            ValueError: If the belief is about other arms.
         """
         count = len(begins)
+        if belief is not None:
+            checked_memory(belief.angle, count)
         inputs = inputs_of(reading, begins if belief else np.ones(count, np.bool_))
         result = empty_belief(count, len(self.design.mean), self._axes)
         if self._axes:

@@ -10,7 +10,7 @@ import numpy as np
 from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.reading import beginning
+from baselines.reading import beginning, checked_memory, one_or_many, require_memory
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
 from beltarm_env.arm import params_table
@@ -85,6 +85,7 @@ class GuardedController:
             surprise = self.controller.belief(memory).tracks.surprise
         return action[:, 0].astype(np.float64), np.zeros(len(action)), surprise
 
+    @one_or_many
     def predict(
         self,
         observation: Singles,
@@ -93,9 +94,11 @@ class GuardedController:
         deterministic: bool = True,
     ) -> tuple[Singles, GuardedMemory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        require_memory(state, GuardedMemory)
         begins = beginning(state, episode_start, observation)
         if state is None:
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
+        checked_memory(state.guard, len(begins), GUARD_SIZE)
         action, own = self.controller.predict(observation, state.own, episode_start, deterministic)
         servo, fallback, asked = self._servo_torque(observation, state, begins)
         limit, (base, residual, surprise) = self.params.torque_limit, self.parts(action, own)

@@ -22,14 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.controller import ClassicalController, LawKernel
+from baselines.controller import ClassicalController, LawKernel, own_gains
 from baselines.estimation.filter_design import Uncertainty
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import AdaptiveDesign, Compensation, arm_memory, law, write_motor_torques
 from baselines.planning.plan import Weights, rows_at
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
-from baselines.reading import Reading
+from baselines.reading import Reading, require_memory
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
 from beltarm_env.arrays import Flags, Floats
 
@@ -85,6 +85,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
         model: Whose equations of motion filter and plan rely on, "lumped" or "lagrangian".
 
     Raises:
+        TypeError: If the gains are those of another controller.
         ValueError: If the model is unknown.
     """
 
@@ -100,11 +101,16 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
         model: str = "lumped",
     ) -> None:
         super().__init__(params)
-        self.gains = gains or AdaptiveGains()
+        self._gains = own_gains(gains, AdaptiveGains)
         self._weights, self._improvements = self.gains.weights(), improvements
         self._compensation = Compensation(self.gains.friction_share, self.gains.rest_width)
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer", model)
+
+    @property
+    def gains(self) -> AdaptiveGains:
+        """Weights, prior uncertainty and noise."""
+        return self._gains
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
@@ -130,6 +136,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
+        require_memory(memory, AdaptiveMemory)
         belief = self._identified(reading, begins, memory.belief if memory else None)
         found = self._identifier.estimate(belief)
         time, torques = reading.step + found.delay, np.empty(len(begins))

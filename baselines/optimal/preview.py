@@ -48,7 +48,7 @@ from baselines.planning.plan import (
     step_of_plan,
     torque_between,
 )
-from baselines.reading import Reading, Sample, chosen, move_of
+from baselines.reading import Reading, Sample, checked_memory, chosen, move_of, one_or_many, require_memory
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -78,7 +78,7 @@ class ObserverController(TunedController[Any]):
     def _observed(self, reading: Reading, begins: Flags, memory: Floats | None) -> Floats:
         """Copy of the laws' memory, shape (n, memory_size), with the estimates of this sample."""
         count = len(begins)
-        rows = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
+        rows = checked_memory(memory, count, self.memory_size)
         simulation, self._simulation = self._simulation, None  # while it is in use: another thread makes its own
         if simulation is None or len(simulation.limits) < count:
             simulation = ArmSimulation(self.params, count)
@@ -199,6 +199,7 @@ class PreviewController(ObserverController):
 
     def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
+        require_memory(memory, PreviewMemory)
         design = self._design
 
         def plan(arm: int) -> Floats:
@@ -217,6 +218,7 @@ class AccelerometerPreviewController(PreviewController):
     correction = staticmethod(correct_by_both)
     memory_size = _END + 2 * AXES + 1  # its last entry is 1 where the zero-g output is known
 
+    @one_or_many
     def predict(
         self,
         observation: Singles,

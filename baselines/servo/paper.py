@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.controller import ScalarController
+from baselines.controller import ScalarController, own_gains
 from baselines.gains import Gains, tunable
 from baselines.models.friction import FrictionGains, compensated
 from baselines.models.linear import turning_load
@@ -143,8 +143,13 @@ class PaperController(ScalarController):
 
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
         super().__init__(params or ArmParams())
-        self.gains = gains or PaperGains()
-        self._design = PaperDesign(self.params.plant(), self.gains.numbers())
+        self._gains = own_gains(gains, PaperGains)
+        self._design = PaperDesign(self.params.plant(), self._gains.numbers())
+
+    @property
+    def gains(self) -> PaperGains:
+        """The gains."""
+        return self._gains
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

@@ -66,7 +66,8 @@ class Loop:
         measured = G * now["reference_angle"] - now["motor_angle_error"]
         start = np.zeros((len(at), self.a.shape[1]))
         start[:, 0] = measured
-        state = start if state is None else np.where(episode_start[:, None], start, state)
+        begins = np.zeros(len(at), bool) if episode_start is None else episode_start
+        state = start if state is None else np.where(begins[:, None], start, state)
 
         speed, acceleration = G * now["reference_speed"], now["reference_acceleration"]
         torsion = inertia(now["reference_angle"]) * acceleration / ARM.belt_stiffness

@@ -214,7 +214,7 @@ def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
     """Put scenarios of splits of one `kind_of_batch` into one split without a name, one after the other."""
     seeds, delays = (np.concatenate([getattr(split, name)[part] for split, part in chosen]) for name in _PER_SCENARIO)
     tables, moves = (np.concatenate([getattr(split, name)[:, part] for split, part in chosen], 1) for name in _PER_MOVE)
-    return replace(chosen[0][0], name="", of="", seeds=seeds, tables=tables, all_moves=moves, delays=delays, digest="")
+    return replace(chosen[0][0], name="", of="", seeds=seeds, tables=tables, all_moves=moves, delays=delays)
 
 
 def draw(name: str, of: str, seeds: SeedRange) -> Split:

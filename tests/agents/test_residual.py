@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, cast
 
 import gymnasium as gym
@@ -12,6 +13,7 @@ import pytest
 import torch
 from bundles import new_weights
 from gymnasium.error import ResetNeeded
+from gymnasium.wrappers import NormalizeObservation, RescaleAction
 from refusals import refused
 from stable_baselines3.common.env_checker import check_env
 
@@ -78,6 +80,11 @@ def test_what_does_not_fit_is_refused():
     other = ResidualController(CONTROLLERS["ei"](params=ArmParams(gear_ratio=100.0)), Silent(), SETTINGS)
     weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
     felt: Any = WITH_ACCELEROMETER["preview"]()
+    changed = NormalizeObservation(BeltArmEnv()), RescaleAction(BeltArmEnv(), np.float32(-2), np.float32(2))
+    normalised: Any = type("Normalised", (Silent,), {"get_vec_normalize_env": lambda self: self})()
+    flat: Any = ResidualController(
+        paper(), cast("Any", SimpleNamespace(predict=lambda o, *_: (o[:, 0], None))), SETTINGS
+    )
     refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
     single.reset(seed=0)
     batch.reset()
@@ -87,6 +94,10 @@ def test_what_does_not_fit_is_refused():
         (("NextStep", "SameStep"), lambda: ResidualVecEnv(BeltArmVectorEnv(2), paper(), SETTINGS)),
         (("BeltArm",), lambda: ResidualEnv(gym.make("CartPole-v1"), paper(), SETTINGS)),
         *(((str(shape), "(3, 1)"), partial(batch.step, np.zeros(shape))) for shape in ((3,), (1, 1), (3, 2), ())),
+        *((("put ResidualEnv first",), partial(ResidualEnv, each, paper(), SETTINGS)) for each in changed),
+        (("predict", "'paper'"), lambda: ResidualController(cast("Any", "paper"), Silent(), SETTINGS)),
+        (("VecNormalize",), lambda: ResidualController(paper(), normalised, SETTINGS)),
+        (("(3, 1)", "(3,)"), lambda: flat.predict(np.zeros((3, 26), np.float32))),
         (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
         *(((), partial(single.step, cast("Any", residual))) for residual in ([math.nan], [0.1, 0.2], "0.5")),
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,8 @@ from episodes import assert_same_in_batches, next_move
 from refusals import refused
 
 import baselines
+from agents.policy.bundle import POLICIES, load_controller
+from agents.residual.controller import behind_guard
 from baselines import CONTROLLERS, TUNABLE, PaperController
 from baselines.reading import read, sample_of
 from baselines.registry import WITH_ACCELEROMETER
@@ -45,6 +47,7 @@ def test_public_names_are_imported_on_first_use():
     assert python("-c", code, cwd=ROOT) == "[]\nadaptive []\n"
     refused(AttributeError, ("'baselines'", "'Paper'"), lambda: baselines.Paper)
     refused(ValueError, ("'paper'",), lambda: baselines.tuned_controller("paper"))
+    refused(TypeError, ("FlatGains", "PaperGains"), lambda: CONTROLLERS["flat"](gains=PaperController().gains))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -65,10 +68,28 @@ def test_with_an_accelerometer_memory_is_in_what_is_returned_and_begins_with_an_
         assert holds(WITH_ACCELEROMETER[name], known) == "bit for bit"
 
 
-@pytest.mark.parametrize("make", [CONTROLLERS["paper"], CONTROLLERS["adaptive"], WITH_ACCELEROMETER["adaptive"]])
-def test_observations_of_another_shape_are_refused(make: Any):
-    for shape in ((observation.size(make().sensors),), (3, observation.size() - 1)):
-        refused(ValueError, ("observations", str(shape)), partial(make().predict, np.zeros(shape, np.float32)))
+@pytest.mark.parametrize("guarded", [False, True])
+@pytest.mark.parametrize("name", [*CONTROLLERS, "student"])
+def test_one_arm_is_driven_too_and_what_does_not_fit_is_refused(name: str, guarded: bool):
+    """Before it gets to kernels, which would read and write beside their arrays."""
+    made = CONTROLLERS[name]() if name in CONTROLLERS else load_controller(POLICIES / name / "seed0")
+    predict = (behind_guard(made) if guarded else made).predict
+    seen, _ = BeltArmVectorEnv(3, **BATCH).reset(seed=SEED)
+    action, memory = predict(seen)
+    assert np.array_equal(predict(seen[1].tolist(), None, True)[0], action[1])
+    late, wrong = seen + np.float32(0.1), seen.copy()
+    wrong[2, observation.index("elapsed_time")] = np.nan
+    with pytest.warns(UserWarning, match="state"):
+        predict(late)
+    for words, arguments in (
+        (("(3,", "state=None"), (np.repeat(seen, 3, axis=0), memory)),
+        (("(3,", "state=None"), (seen[:1], memory)),
+        (("begin with",), (seen, [1.0])),
+        (("episode_start", "(3,)", "(3, 1)"), (seen, memory, np.ones((3, 1), np.bool_))),
+        (("elapsed_time nan for arm 2",), (wrong,)),
+        (("(n, 26)", "(3, 25)"), (seen[:, :25],)),
+    ):
+        refused(ValueError, words, partial(predict, *arguments))
 
 
 def spoilt(memory: Any) -> Any:
@@ -129,7 +150,7 @@ class TestDataSheet:
         known = CONTROLLERS[name]().params
         runs = {}
         for kind, arm in {"own": known, "geared": replace(known, **GEARED)}.items():
-            options = {"move": EASY, "params": asdict(arm)}
+            options = {"move": EASY, "params": arm}
             runs[kind] = rollout(CONTROLLERS[name](params=arm), 1, seed=0, options=options).metrics()
         for metric in ("tip_rms_mm", "cost"):
             np.testing.assert_allclose(runs["geared"][metric], runs["own"][metric], rtol=0.15)

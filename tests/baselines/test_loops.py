@@ -80,7 +80,7 @@ def responses(name: str, controller: Any, places: tuple[int, ...], pulse: float)
     for i in range(begin + STEPS):
         angles.append(states[:, 0])
         seen = [resting_observation(*arm) for arm in zip(joints, states, angles[i], last, strict=True)]
-        action, memory = controller.predict(np.concatenate(seen), memory)
+        action, memory = controller.predict(np.concatenate(seen), memory, i == 0)
         if isinstance(memory, AdaptiveMemory):
             memory = replace(memory, belief=memory.belief._replace(counts=np.full(len(joints), QUANTUM)))
         last = action[:, 0].astype(float) * 0.3

@@ -83,6 +83,7 @@ class Watched(RetunedController):
     simulated: set[TwoGains] = set()  # noqa: RUF012
 
     def __init__(self, gains: TwoGains = TwoGains()) -> None:
+        self.gains_type = RetunedGains  # type: ignore[misc]  of what it is made with
         super().__init__(RetunedGains(angle=gains.angle, torsion_speed=gains.torsion_speed, speed=30.0))
         self.free = gains
 

@@ -20,7 +20,7 @@ from eval.studies.learning.runs import DEFAULT, VARIANTS, Run, Variant, begun_op
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
-    """The run of a first try of the study, and its result; `test_curves.py` computes levels of curves."""
+    """The run of a first try of the study, and its result; `test_curves_and_speed.py` computes levels of curves."""
     folder, kept = tmp_path_factory.mktemp("learning"), _frame.read_data(_frame.RESULTS / "learning")["shipped_levels"]
     with pytest.MonkeyPatch.context() as patch:
         hurry(patch)

@@ -78,7 +78,7 @@ class TestRuns:
             seen, *_ = env.step(np.array([[0.5], [-0.4], [0.2]]))
         told = observation.decode(seen, "full")
         conditions = Conditions(friction_sign="measured", true_torsion=True)
-        action, _ = runs.AssumedServo(conditions, TABLE_2.feedback).predict(seen)
+        action, _ = runs.AssumedServo(conditions, TABLE_2.feedback).predict(seen, episode_start=np.ones(3, bool))
         u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
         torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["motor_speed"])
         torque -= 0.15 * told["torsion_speed"]

@@ -1,11 +1,12 @@
-"""What single studies promise: drive, guard, repeated moves, observers, presliding and sensors."""
+"""What single studies promise: drive, guard, loops, repeated moves, observers, presliding and sensors."""
 
 import numpy as np
 import pytest
 
 from agents.observer.network import Estimate
 from agents.observer.quantities import NAMES
-from baselines import PaperController
+from baselines import CONTROLLERS, PaperController
+from baselines.loops.condition import least_margins
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record
@@ -14,6 +15,7 @@ from eval.comparison.sets import development_set
 from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
+from eval.studies.loops import NONE_LEFT, gains, scan
 from eval.studies.observers import score, scores_of, watchers
 from eval.studies.presliding import CLEAN, verdicts
 
@@ -75,3 +77,20 @@ def test_the_answer_follows_an_order_that_turns():
     values = {("a", CLEAN): low, ("b", CLEAN): high, ("a", "1 mrad"): high, ("b", "1 mrad"): low}
     assert verdicts(values, ("a", "b"), CLEAN) == {("a", "b"): "better"}
     assert verdicts(values, ("a", "b"), "1 mrad") == {("a", "b"): "worse"}
+
+
+def test_the_worst_margins_are_those_of_the_condition():
+    found, least, unstable = scan(CONTROLLERS["ei"]()), least_margins(CONTROLLERS["ei"]()), scan(CONTROLLERS["paper"]())
+    for name in ("modulus", "delay"):
+        worst = found["worst"][name]
+        assert worst["value"] == getattr(least, name)
+        assert f"{worst['arm']}, {worst['degrees']:.0f}°" == getattr(least, f"{name}_at")
+    assert found["over_arms"]["modulus"].min() == found["modulus_by_arm"].min() == least.modulus
+    assert not unstable["stable"] and unstable["slowest"] > 0
+    assert {name: worst["value"] for name, worst in unstable["worst"].items()} == NONE_LEFT
+
+
+def test_only_gains_that_were_tuned_have_a_range():
+    assert [value["searched"] for value in gains("paper")["values"]] == [None] * 3
+    for value in gains("adrc")["values"]:
+        assert value["searched"]["low"] < value["value"] < value["searched"]["high"]

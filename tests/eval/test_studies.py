@@ -22,7 +22,7 @@ TRIED = [name for name in NAMES if name != "learning"]  # which has a test of it
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in TRIED]
 )
 def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Of the paper without its alternatives, which `test_paper.py` tries; to the last dot in `test_speed.py`."""
+    """Of the paper without alternatives, see `test_paper.py`; to the last dot in `test_curves_and_speed.py`."""
     hurry(monkeypatch)
     if name == "paper":
         kept = _frame.read_data(_frame.RESULTS / "paper")["alternatives"]

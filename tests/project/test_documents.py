@@ -1,4 +1,4 @@
-"""The recipe of CONTRIBUTING.md, followed to the letter in a copy of the sources, takes no more files than it says."""
+"""Documents that show code: the recipe of CONTRIBUTING.md, to the letter in a copy, and the page on the engine."""
 
 import re
 import shutil
@@ -6,6 +6,12 @@ from pathlib import Path
 
 import pytest
 from commands import PACKAGES, ROOT, python
+
+from eval.exports.program import loop_of
+from eval.exports.source import sources
+
+PAGE = (ROOT / "docs/guide/engine.md").read_text(encoding="utf-8")
+README = ROOT / "beltarm_env/engine/translation/README.md"
 
 STEP = re.compile(r"^(New file|In) `([^`]+)`[^\n]*\n\n```\w+\n(.*?)^```$", re.M | re.S)
 CODE = """
@@ -42,3 +48,33 @@ def test_a_controller(tmp_path: Path):
         path.write_text(edited(path.read_text("utf-8"), text, name) if kind == "In" else text, encoding="utf-8")
     output = python("-c", CODE, cwd=tmp_path, path=(tmp_path,), BELTARM_ENGINE="plain")
     assert output.split() == ["True"] * 5
+
+
+def blocks(language: str, page: str = PAGE) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+
+
+def output_of(program: str, folder: Path) -> str:
+    """What a program prints, from a file: kernels have to have a source text."""
+    (folder / "program.py").write_text(program, encoding="utf-8")
+    return python("program.py", cwd=folder, path=(ROOT,), BELTARM_ENGINE="")
+
+
+def test_the_page_shows_what_the_translator_writes(tmp_path: Path):
+    here = output_of("".join(blocks("python")) + "print(text)\n", tmp_path)
+    *shown, exported = blocks("c")
+    assert shown and all(block in here for block in shown)
+    assert exported in sources(loop_of("lqg"))["lqg.c"]
+    (equation,) = blocks("py")
+    assert equation in (ROOT / "beltarm_env/physics/state.py").read_text(encoding="utf-8")
+
+
+def test_the_readme_of_the_translator(tmp_path: Path):
+    (program,) = blocks("python", README.read_text(encoding="utf-8"))
+    assert blocks("c")[0] in output_of(program, tmp_path)
+
+
+def test_the_table_has_every_variable():
+    engine = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "beltarm_env/engine").glob("*.py"))
+    read = set(re.findall(r'environ(?:\.get\(|\[)"(BELTARM_\w+)"', engine))
+    assert read == set(re.findall(r"^\| `(BELTARM_\w+)` \|", PAGE, re.MULTILINE))
