@@ -81,7 +81,7 @@ def use_everything() -> None:
         state_space,
     )
     from beltarm_env.arm import plant_of
-    from beltarm_env.physics.drive import belt_motions, built_drive
+    from beltarm_env.physics.drive import belt_motions, real_drive_of
     from beltarm_env.rollout import rollout
     from beltarm_env.simulation import ArmSimulation
 
@@ -113,7 +113,7 @@ def use_everything() -> None:
         state_space(params, 0.5, model=model)
         sampled_state_space(params, 0.5, model)
         for states in (np.zeros((2, 4)), np.zeros((2, 2, 4))[:, 0]):  # of one arm, and of one among several
-            belt_motions(states, plant_of(params.row()), built_drive(params.row()))
+            belt_motions(states, plant_of(params.row()), real_drive_of(params.row()))
         arms = ArmSimulation(params, 2, model)
         states = arms.advance(arms.at_rest(np.zeros(2)), np.zeros(2))
         arms.ahead(states, np.zeros(2), np.ones(2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
@@ -17,6 +18,7 @@ from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import Profile
 
 Memory = TypeVar("Memory")
+_FORGOTTEN = "predict was called amid a move with state=None, and begins anew: pass the state that it returned last"
 
 
 class ClassicalController(ABC, Generic[Memory]):
@@ -69,6 +71,8 @@ class ClassicalController(ABC, Generic[Memory]):
         """
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, observation, self.remembers), state)
+        if state is None and memory is not None and episode_start is None and np.any(reading.step > 0):
+            warnings.warn(_FORGOTTEN, stacklevel=3)
         action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
         return action.astype(np.float32)[:, None], memory
 

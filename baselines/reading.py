@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, NamedTuple
@@ -77,7 +76,6 @@ _BEFORE_STEP = tuple(map(observation.index, ("motor_angle_error", "motor_speed_e
 """Entries of an observation, in the order of a `Sample`'s fields up to the step."""
 _STEP = _MOVE_FIELD + 4  # of a `Sample`'s fields
 _ELAPSED, _LAST, _HOLDS = map(observation.index, ("elapsed_time", "last_command", "holds_part"))
-_FORGOTTEN = "predict was called amid a move with state=None, and begins anew: pass the state that it returned last"
 _FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_ELAPSED]  # elapsed time that belongs to the first sample, scaled
 
 
@@ -95,17 +93,30 @@ def sample_from(seen: Singles, torque_limit: float) -> Sample:
 
 
 def one_or_many(predict: Callable[..., tuple[Singles, Any]]) -> Callable[..., tuple[Singles, Any]]:
-    """Let a method `predict` take the observation of a single arm, of shape (size,), as well; its action is (1,)."""
+    """Let a method `predict` take the observation of a single arm, of shape (size,), as well; its action is (1,).
+
+    `episode_start` may be one flag for all. What is no number of 32 or 64 bits becomes one; other shapes are refused.
+    """
 
     @wraps(predict)
     def either(
         self: Any, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         seen = np.asarray(observation)
-        if seen.ndim != 1:
-            return predict(self, seen, state, episode_start, deterministic)
-        action, memory = predict(self, seen[None], state, episode_start, deterministic)
-        return action[0], memory
+        seen = seen if seen.dtype in (np.float32, np.float64) else seen.astype(np.float32)
+        if seen.ndim == 1:
+            action, memory = either(self, seen[None], state, episode_start, deterministic)
+            return action[0], memory
+        if seen.ndim != 2:
+            raise ValueError(f"observations must have shape (size,) or (n, size), got {seen.shape}")
+        if episode_start is not None:
+            flags, count = np.asarray(episode_start, np.bool_), len(seen)
+            if flags.shape not in ((count,), (1,), ()):
+                raise ValueError(
+                    f"episode_start must have shape ({count},) for as many observations, got {flags.shape}"
+                )
+            episode_start = np.broadcast_to(flags, count).copy()
+        return predict(self, seen, state, episode_start, deterministic)
 
     return either
 
@@ -121,14 +132,12 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     Raises:
         ValueError: If there are fewer entries than the sensors have, or one of them is not finite.
     """
+    _require_entries(observations, sensors)
     size = observation.size(sensors)
-    if observations.ndim != 2 or observations.shape[1] < size:
-        remedy = "" if sensors == "encoder" else f": use an environment with sensors={sensors!r}"
-        raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
     seen = np.empty((len(Sample._fields), len(observations)))
     _write_samples(np.ascontiguousarray(observations[:, :_ENCODER_SIZE]), params.torque_limit, seen)
     step = seen[_STEP]
-    if not np.isfinite(seen.sum()) or not np.all((step >= 0) & (step <= EPISODE_STEPS)):
+    if not np.isfinite(observations).all() or not np.all((step >= 0) & (step <= EPISODE_STEPS)):
         raise ValueError(
             f"observations must be finite, and elapsed_time within 0 and 1.8 s, got {_worst(observations)}"
         )
@@ -145,12 +154,20 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     )
 
 
+def _require_entries(observations: Singles, sensors: str = "encoder") -> None:
+    size = observation.size(sensors)
+    if observations.ndim != 2 or observations.shape[1] < size:
+        remedy = "" if sensors == "encoder" else f": use an environment with sensors={sensors!r}"
+        raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
+
+
 def _worst(observations: Singles) -> str:
     """Name an entry of an observation that no sensor gives."""
-    wrong, elapsed = ~np.isfinite(observations[:, :_ENCODER_SIZE]), observations[:, _ELAPSED]
+    wrong, elapsed = ~np.isfinite(observations), observations[:, _ELAPSED]
     wrong[:, _ELAPSED] |= (elapsed < -_FIRST) | (elapsed >= (2 * EPISODE_STEPS + 1) * _FIRST)
     arm, entry = np.argwhere(wrong)[0]
-    return f"{observation.ENTRIES['encoder'][entry].name} {observations[arm, entry]:g} for arm {arm}"
+    name = observation.ENTRIES["encoder"][entry].name if entry < _ENCODER_SIZE else f"entry {entry}"
+    return f"{name} {observations[arm, entry]:g} for arm {arm}"
 
 
 @compiled
@@ -173,22 +190,20 @@ def beginning(memory: object, episode_start: Flags | None, observations: Singles
 
     Args:
         memory: Of a controller, None before its first call.
-        episode_start: Which arms begin an episode, shape (n,), or one flag for all; None for none of them.
+        episode_start: Which arms begin an episode, shape (n,); None for none of them.
         observations: Shape (n, size).
         remembers: Whether the controller's memory lasts from move to move, so that only an episode begins anew.
 
     Raises:
-        ValueError: If `episode_start` has another shape.
+        ValueError: If observations have fewer entries than the encoder's.
     """
-    count = len(observations)
-    started = np.asarray(False if episode_start is None else episode_start, np.bool_)
-    if started.shape not in ((count,), (1,), ()):
-        raise ValueError(f"episode_start must have shape ({count},) for as many observations, got {started.shape}")
+    _require_entries(observations)
     if memory is None:
-        if episode_start is None and (observations[:, _ELAPSED] >= _FIRST).any():
-            warnings.warn(_FORGOTTEN, stacklevel=4)
-        return np.ones(count, np.bool_)
-    return np.broadcast_to(started, count).copy() if remembers else (observations[:, _ELAPSED] < _FIRST) | started
+        return np.ones(len(observations), np.bool_)
+    if remembers:
+        return np.zeros(len(observations), np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
+    begins = observations[:, _ELAPSED] < _FIRST
+    return begins if episode_start is None else begins | np.asarray(episode_start, np.bool_)
 
 
 def require_memory(memory: object, kind: type) -> None:
@@ -214,4 +229,4 @@ def checked_memory(memory: Any, *shape: int) -> Any:
             f"state must be what this controller returned for these {shape[0]} observations, of shape {shape}, got "
             f"{found}: begin with state=None"
         )
-    return memory.copy()
+    return memory.astype(np.float64)

@@ -63,7 +63,7 @@ CONTROLLERS: dict[str, Callable[..., Any]] = {
 """Controllers by the name used on command lines, in results and in policy bundles.
 
 Call without arguments, with `params` for arms with another gear ratio or torque limit than the nominal one's, or with
-`gains`: `CONTROLLERS["flat"](gains=replace(tuned("flat", FlatGains), angle=300.0))`.
+`gains`, all but `rigid`: `CONTROLLERS["flat"](gains=replace(tuned("flat", FlatGains), angle=300.0))`.
 """
 
 DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat"}

@@ -18,7 +18,7 @@ from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.engine.blocks import MAX_THREADS
 from beltarm_env.info import MOVE_TOTALS, TOTALS
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.episodes import Episodes, begin_episodes, episode_totals, restart_episodes, tip_errors
+from beltarm_env.kernels.episodes import Beginnings, begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import IDEAL, REAL
 from beltarm_env.kernels.moves import move_totals, next_moves
 from beltarm_env.kernels.observe import observe_arms, observe_some
@@ -214,7 +214,7 @@ class ArmBatch:
         self.table[arms] = table
         self._substeps = 0
         begin = at.for_lanes(begin_episodes, self.lanes)
-        self._num_real += begin(self.blocks, arms, Episodes(table, moves, states, uniforms), self._setup)
+        self._num_real += begin(self.blocks, arms, Beginnings(table, moves, states, uniforms), self._setup)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
@@ -272,9 +272,9 @@ class ArmBatch:
     def observe(self, observations: Singles, arms: Integers | None = None) -> None:
         """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
         if arms is None:
-            at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, self.task)
+            at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, self.step_settings)
         else:
-            at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, self.task)
+            at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, self.step_settings)
 
     @property
     def real_drive(self) -> at.RealDrive:
@@ -282,9 +282,9 @@ class ArmBatch:
         return REAL if self._num_real else IDEAL
 
     @property
-    def task(self) -> at.Task:
+    def step_settings(self) -> at.StepSettings:
         """What all arms have in common in a step."""
-        return at.Task(self.profile, self.tier, self.model, self.real_drive, self.engine is None)
+        return at.StepSettings(self.profile, self.tier, self.model, self.real_drive, self.engine is None)
 
     @property
     def all_arms(self) -> Integers:

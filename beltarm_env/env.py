@@ -282,7 +282,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
     def _step_for_drive(self) -> Callable[..., Any]:
         """Return the kernel behind what is the same in all steps."""
         batch = self._batch
-        same = batch.blocks, batch.scratch, batch.tile, batch.task
+        same = batch.blocks, batch.scratch, batch.tile, batch.step_settings
         observed = bound(for_lanes(step_arm, batch.lanes), same, 0.0, like=np.empty(self._size, np.float32))
 
         def moved_by_engine(action: Singles) -> Any:

@@ -173,8 +173,8 @@ def require_controller(controller: object) -> None:
     elif isinstance(controller, type):
         found = f"the class {controller.__name__}: {controller.__name__}() makes one"
     elif callable(getattr(controller, "predict", None)):
-        normalised = getattr(type(controller), "get_vec_normalize_env", None)
-        if normalised is not None and normalised(controller) is not None:
+        find: Any = getattr(type(controller), "get_vec_normalize_env", lambda _: None)
+        if getattr(find(controller), "norm_obs", False):
             raise ValueError(
                 f"{type(controller).__name__} learned on observations that VecNormalize had changed, and would see "
                 "others: give it `norm.normalize_obs(observation)` in a class of your own, see docs/guide/faq.md"
@@ -221,7 +221,7 @@ def record(
         made.params[move], made.moves[move] = env.params_table, env.moves
         for k in range(EPISODE_STEPS):
             answer = controller.predict(observation, memory, start, deterministic=True)
-            if not isinstance(answer, tuple) or len(answer) != 2:
+            if not isinstance(answer, tuple | list) or len(answer) != 2:
                 raise ValueError(
                     f"{type(controller).__name__}.predict must return (action, state), got {type(answer).__name__}"
                 )

@@ -183,11 +183,8 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
             )
         fractions = self._checked_actions(actions)
         count = self._num_envs
-        result, rewards, terms = (
-            np.empty((count, self._size), np.float32),
-            np.empty(count),
-            np.empty((len(TERMS), count)),
-        )
+        result = np.empty((count, self._size), np.float32)
+        rewards, terms = np.empty(count), np.empty((len(TERMS), count))
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
         batch = self._batch
         if batch.engine is not None:
@@ -195,7 +192,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         exchange = Exchange(fractions, result, rewards, terminated, truncated, terms)
         seldom = time.perf_counter() - self._stepped > SOON
         threads = threads_for(len(batch.blocks), batch.real_drive is not IDEAL, seldom, batch.num_threads)
-        in_threads(step_arms, threads, batch.blocks, none_taken(threads), batch.rooms, exchange, batch.task)
+        in_threads(step_arms, threads, batch.blocks, none_taken(threads), batch.rooms, exchange, batch.step_settings)
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long

@@ -27,7 +27,7 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
-from eval.comparison.run import Own, Run, choose_methods, compare, verify
+from eval.comparison.run import OwnMethods, Run, choose_methods, compare, verify
 from eval.comparison.sets import choose_set
 from eval.comparison.splits import EPISODES, MOVES, QUICK_EPISODES, QUICK_MOVES, QUICK_SEEDS
 from eval.report import summary
@@ -103,7 +103,7 @@ def run(config: Config) -> None:
         if vain := [name.replace("_", "-") for name in names if getattr(config, name) != getattr(Config, name)]:
             raise ValueError(f"--{vain[0]} has no effect beside --verify, which runs what results claim: leave it out")
         with progress_count("parts", console) as done:
-            own = Own(config.policy, config.add, time_limit=config.time_limit)
+            own = OwnMethods(config.policy, config.add, time_limit=config.time_limit)
             news, sound = verify(config.verify, config, verdict, own, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
@@ -116,7 +116,7 @@ def run(config: Config) -> None:
         more = f"; --scenario-seed 1 draws up to {MOST}" if config.scenario_seed is None else ""
         raise ValueError(f"--episodes must lie within 4 and {most}, got {count}{more}")
     scenarios = known.only(splits, count, moves)
-    own = Own(config.policy, config.add, config.out, config.time_limit)
+    own = OwnMethods(config.policy, config.add, config.out, config.time_limit)
     methods = choose_methods(config.methods, own, guard=config.guard, seeds=seeds)
     for method in methods:
         if method.identity is None:

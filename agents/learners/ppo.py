@@ -119,8 +119,8 @@ class PpoConfig(OnPolicyConfig):
     teacher_arms: int = 128
     """Arms of such a round."""
     critic_steps: int | None = None
-    """Agent steps, after those rounds, in which the critic learns alone. Default: 140000, or a third of --total-steps
-    if that is less; none without rounds."""
+    """Agent steps, after those rounds, in which the critic learns alone. Default: 140000, or 35 % of --total-steps if
+    that is less; none without rounds."""
 
     def __post_init__(self) -> None:
         """Fill in the rounds, and the critic's steps, that stand where none are given."""

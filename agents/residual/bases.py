@@ -15,7 +15,7 @@ from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.reading import Sample
+from baselines.reading import Sample, one_or_many
 from baselines.registry import WITH_ACCELEROMETER
 from baselines.tools.command import require_known
 from baselines.tools.schema import in_a_line
@@ -33,6 +33,7 @@ def no_torque(design: Floats, now: Sample, begins: bool, memory: Floats) -> floa
 class NoController:
     """Controller whose torque is zero: base of an agent that learns from scratch."""
 
+    @one_or_many
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, None]:

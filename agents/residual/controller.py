@@ -100,7 +100,7 @@ class ResidualController:
 
     Raises:
         TypeError: If one of the two has no `predict`.
-        ValueError: If the policy saw observations that a `VecNormalize` had changed.
+        ValueError: If the policy learned on observations that a `VecNormalize` had changed.
 
     Attributes:
         params: Arm that it is made for, see `Controller`.
@@ -128,8 +128,8 @@ class ResidualController:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
 
         Raises:
-            ValueError: If observations, state, `episode_start` or the policy's residuals have another shape, or a
-                number is not finite.
+            ValueError: If observations, state, `episode_start` or the policy's residuals have another shape, or an
+                observation is not finite. Of a residual that is no number the action is none either.
         """
         require_memory(state, ResidualMemory)
         count = len(observation)
@@ -138,7 +138,8 @@ class ResidualController:
         anew = beginning(state.informed, episode_start, observation, self.remembers)
         begins = beginning(state.informed, anew, observation, self.informed.remembers)
         informed = self.informed.advance(observation, state.informed, begins)
-        age = np.where(begins, 0, checked_memory(state.age, count))
+        checked_memory(state.residual, count, 1)
+        age = np.where(begins, 0, state.age)
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0
         if due.any():

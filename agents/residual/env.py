@@ -30,12 +30,16 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles], RecordConstru
     """
 
     def __init__(self, env: gym.Env[Singles, Singles], base: Controller, settings: ResidualSettings) -> None:
-        RecordConstructorArgs.__init__(self, base=base, settings=settings)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, base=base, settings=settings)
         super().__init__(env)
         if not isinstance(env.unwrapped, BeltArmEnv):
             raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
         self._arm = env.unwrapped
-        if (env.observation_space, env.action_space) != (self._arm.observation_space, self._arm.action_space):
+        own = self._arm.observation_space, self._arm.action_space
+        layer, changed = env, (env.observation_space, env.action_space) != own
+        while isinstance(layer, gym.Wrapper):
+            layer, changed = layer.env, changed or isinstance(layer, gym.ObservationWrapper | gym.ActionWrapper)
+        if changed:
             raise ValueError(f"the base needs the arm's own observations and actions, got {env}: put ResidualEnv first")
         check_profile(base, self._arm.profile)
         check_sensors(base, self._arm.sensors)

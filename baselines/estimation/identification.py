@@ -273,10 +273,10 @@ class ArmIdentifier:
             ValueError: If the belief is about other arms.
         """
         count = len(begins)
-        if belief is not None:
-            checked_memory(belief.angle, count)
         inputs = inputs_of(reading, begins if belief else np.ones(count, np.bool_))
         result = empty_belief(count, len(self.design.mean), self._axes)
+        if belief is not None:
+            checked_memory(belief.tracks.mean, *result.tracks.mean.shape)
         if self._axes:
             assert reading.acceleration is not None, "decoded with the acceleration, see `sensors`"
             seen = unfiltered(reading.acceleration, belief.acceleration if belief else reading.acceleration)

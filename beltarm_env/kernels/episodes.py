@@ -1,4 +1,4 @@
-"""Episodes of a batch of arms: how they begin, and what they came to."""
+"""Beginnings of a batch of arms: how they begin, and what they came to."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Flags = NDArray[np.bool_]
 Integers = NDArray[np.intp]
 
 
-class Episodes(NamedTuple):
+class Beginnings(NamedTuple):
     """What n episodes begin with, each its own."""
 
     table: Floats  # parameters of the arms, shape (n, len(FIELDS))
@@ -50,7 +50,7 @@ class Episodes(NamedTuple):
 
 
 @compiled
-def begin_episodes(blocks: Floats, arms: Integers, episodes: Episodes, setup: Setup) -> int:
+def begin_episodes(blocks: Floats, arms: Integers, episodes: Beginnings, setup: Setup) -> int:
     """Begin a new episode in n arms, and return by how many there are more with a real drive.
 
     Args:
@@ -100,7 +100,7 @@ def restart_episodes(
     for i in range(count):
         table[arms[i]] = drawn[i]
     moves = draw_moves(setup.profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
-    return begin_episodes(blocks, arms, Episodes(drawn, moves, nothing, draws), setup)
+    return begin_episodes(blocks, arms, Beginnings(drawn, moves, nothing, draws), setup)
 
 
 @inlined

@@ -83,7 +83,7 @@ REAL: Final = True
 """Whether real drives are among the arms: a kernel compiled for IDEAL has none of their equations."""
 
 
-class Task(NamedTuple):
+class StepSettings(NamedTuple):
     """What all arms of a batch have in common in a step."""
 
     profile: int  # index into `reference.PROFILES`

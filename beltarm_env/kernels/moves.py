@@ -81,13 +81,12 @@ def next_moves(
         _close_move(block, j)
         loaded = block[at.EARLIER * LANES + j] % (2 * EPISODE_STEPS) == 0.0
         level = float(block[at.FRICTION_LEVEL * LANES + j])
-        if not setup.real_drives[
-            arms[i]
-        ]:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
+        was = setup.real_drives[arms[i]]
+        if not was:  # nobody keeps the torque of an ideal drive: the motor has what was commanded
             block[at.TORQUE * LANES + j] = block[at.ACTION * LANES + j] * table[arms[i], COLUMN.torque_limit]
         block[at.FRICTION_LEVEL * LANES + j] = change_row(table[arms[i]], drawn[i], level, loaded)
         now = begin_move(block, j, moves[i], table[arms[i]], setup.model)
-        more += int(now) - int(setup.real_drives[arms[i]])
+        more += int(now) - int(was)
         setup.real_drives[arms[i]] = now
     return more
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, RealDrive, Task, load_move, load_plant
+from beltarm_env.kernels.layout import LANES, RealDrive, StepSettings, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
 from beltarm_env.kernels.tile import put, transpose
 from beltarm_env.observation import LOOKAHEADS, index
@@ -83,35 +83,39 @@ def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
 
 
 @compiled
-def observe_block(block: Floats, tile: Singles, observations: Singles, task: Task) -> None:
+def observe_block(block: Floats, tile: Singles, observations: Singles, settings: StepSettings) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 
     Args:
         block: As `layout` describes.
         tile: Room for `tile.TILE_ROWS` rows.
         observations: Shape (count, size).
-        task: What is common to all arms.
+        settings: What is common to all arms.
     """
     count = len(observations)
-    if task.profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
+    if (
+        settings.profile == TRAPEZOID
+    ):  # the usual case as a constant, so that its loop does not compute the other profiles
         _put_all(block, tile, count, TRAPEZOID)
     else:
-        _put_all(block, tile, count, task.profile)
-    _put_last_entries(block, tile, count, task.tier, task.real_drive)
-    transpose(tile, observations, task.tier)
+        _put_all(block, tile, count, settings.profile)
+    _put_last_entries(block, tile, count, settings.tier, settings.real_drive)
+    transpose(tile, observations, settings.tier)
 
 
 @compiled
-def observe_arms(blocks: Floats, tile: Singles, observations: Singles, task: Task) -> None:
+def observe_arms(blocks: Floats, tile: Singles, observations: Singles, settings: StepSettings) -> None:
     """Write the observations of all arms, shape (N, size); arguments as of `observe_block`."""
     for k in range(len(blocks)):
         low = k * LANES
-        observe_block(blocks[k], tile, observations[low : low + LANES], task)
+        observe_block(blocks[k], tile, observations[low : low + LANES], settings)
 
 
 @compiled
-def observe_some(blocks: Floats, tile: Singles, observations: Singles, arms: NDArray[np.intp], task: Task) -> None:
+def observe_some(
+    blocks: Floats, tile: Singles, observations: Singles, arms: NDArray[np.intp], settings: StepSettings
+) -> None:
     """Write the observations of some arms, one by one; arguments as of `observe_block`."""
     for arm in arms:
         block, lane = blocks[arm // LANES], arm % LANES  # a block that begins with a lane has this one as its first
-        observe_block(block[lane:], tile, observations[arm : arm + 1], task)
+        observe_block(block[lane:], tile, observations[arm : arm + 1], settings)

@@ -20,7 +20,7 @@ from beltarm_env.kernels.episodes import totals_so_far
 from beltarm_env.kernels.layout import (
     LANES,
     RealDrive,
-    Task,
+    StepSettings,
     aligned_rows,
     drive_among,
     load_move,
@@ -155,15 +155,15 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, real_drive:
 
 
 @compiled
-def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, task: Task) -> None:
+def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, settings: StepSettings) -> None:
     """Step the arms of one block by one control period; actions are in scratch, results go to scratch."""
-    count, real_drive = len(observations), task.real_drive
-    if task.integrate:
+    count, real_drive = len(observations), settings.real_drive
+    if settings.integrate:
         work, actions = scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES]
-        advance_block(block, work, actions, count, task.model, real_drive)
-    sense_block(block, count, task.tier, real_drive)
-    charge(block, scratch, count, task.profile, real_drive)
-    observe_block(block, tile, observations, task)
+        advance_block(block, work, actions, count, settings.model, real_drive)
+    sense_block(block, count, settings.tier, real_drive)
+    charge(block, scratch, count, settings.profile, real_drive)
+    observe_block(block, tile, observations, settings)
 
 
 @compiled
@@ -173,7 +173,7 @@ def step_arms(
     taken: Integers,
     rooms: Rooms,
     exchange: Exchange,
-    task: Task,
+    settings: StepSettings,
 ) -> None:
     """Step N arms by one control period, those of the blocks that a thread takes; results are written in place.
 
@@ -183,7 +183,7 @@ def step_arms(
         taken: Of `none_taken`, for as many threads as there are.
         rooms: To work in.
         exchange: Actions, and what comes of them.
-        task: What is common to all arms.
+        settings: What is common to all arms.
     """
     scratch, tile = rooms.scratches[thread], rooms.tiles[thread]
     while True:
@@ -193,7 +193,7 @@ def step_arms(
         low = k * LANES
         high = min(low + LANES, len(exchange.actions))
         _take_actions(exchange.actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, exchange.observations[low:high], task)
+        _step_block(blocks[k], scratch, tile, exchange.observations[low:high], settings)
         _give_flags(scratch, TERMINATED, exchange.terminated[low:high])
         _give_flags(scratch, TRUNCATED, exchange.truncated[low:high])
         _give(scratch, REWARD, exchange.rewards[low:high])
@@ -223,7 +223,7 @@ def _give_flags(scratch: Floats, row: int, flags: Flags) -> None:
 
 @compiled
 def step_arm(
-    blocks: Floats, scratch: Floats, tile: Singles, task: Task, action: float, observation: Singles
+    blocks: Floats, scratch: Floats, tile: Singles, settings: StepSettings, action: float, observation: Singles
 ) -> tuple[Singles, float, bool, bool, dict[str, float]]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
@@ -231,7 +231,7 @@ def step_arm(
         blocks: The arm, as `layout` describes.
         scratch: Row of a room.
         tile: Row of a room.
-        task: What is common to all arms.
+        settings: What is common to all arms.
         action: Torque over the torque limit, cut to [-1, 1].
         observation: Written in place, shape (size,).
 
@@ -245,7 +245,7 @@ def step_arm(
     if not -HUGE < action < HUGE:
         raise ValueError("the action is not finite")
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
-    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), task)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), settings)
     terminated = bool(scratch[TERMINATED * LANES] != 0.0)
     total, position, velocity, torque_rate, steps, rms, largest = totals_so_far(blocks[0], 0, terminated)
     info = {

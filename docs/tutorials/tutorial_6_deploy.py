@@ -48,7 +48,7 @@ split = development_set().splits["randomized"]
 arms = split.arguments(slice(ARMS))  # their constants, moves and sensors
 
 python = rollout(controller_of("adaptive", guard=True), ARMS, **arms)
-with InTheLoop(folder, loop.name, split.moves[:ARMS], loop.params.torque_limit, native(), 4000) as program:
+with InTheLoop(folder, loop, split.moves[:ARMS], native(), 4000) as program:
     compiled = rollout(program, ARMS, **arms)
     times = program.times()
 
@@ -101,7 +101,7 @@ figure, (torque, angle) = plt.subplots(2, 1, figsize=(7.5, 5), sharex=True)
 for guard in (False, True):
     made = folder.with_name("guarded" if guard else "bare")
     write_program(made, loop_of("adaptive", guard))
-    with InTheLoop(made, loop.name, split.moves[:1], loop.params.torque_limit, native(), 4000) as program:
+    with InTheLoop(made, loop, split.moves[:1], native(), 4000) as program:
         run = rollout(Broken(program, 200), 1, **split.arguments(slice(1)))
     name = "with the guard" if guard else "without"
     torque.plot(run.time[: len(run.torque)], 1e3 * run.torque[:, 0], label=name)

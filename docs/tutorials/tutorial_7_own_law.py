@@ -79,7 +79,7 @@ ARMS = 4
 split = development_set().splits["randomized"]
 arms = split.arguments(slice(ARMS))  # their constants, moves and sensors
 python = rollout(controller_of(MINE), ARMS, **arms)
-with InTheLoop(folder, loop.name, split.moves[:ARMS], loop.params.torque_limit, native(), 4000) as program:
+with InTheLoop(folder, loop, split.moves[:ARMS], native(), 4000) as program:
     in_c = rollout(program, ARMS, **arms)
     times = program.times()
 print(f"{(python.torque == in_c.torque).sum()} of {python.torque.size} torques are equal to the last bit")

@@ -37,7 +37,7 @@ from eval.comparison.sets import ScenarioSet, require_same_physics, set_of
 from eval.comparison.splits import QUICK_SEEDS, main_split
 
 
-class Own(NamedTuple):
+class OwnMethods(NamedTuple):
     """Methods of a user's own."""
 
     policies: Sequence[Path | str] = ()  # see `learned_methods`
@@ -46,7 +46,7 @@ class Own(NamedTuple):
     time_limit: float = TIME_LIMIT  # of such a controller [s]
 
 
-NONE = Own()
+NO_METHODS = OwnMethods()
 
 
 class Run(NamedTuple):
@@ -59,7 +59,7 @@ class Run(NamedTuple):
 
 
 def choose_methods(
-    names: Sequence[str], own: Own = NONE, *, guard: bool = False, seeds: int | None = None
+    names: Sequence[str], own: OwnMethods = NO_METHODS, *, guard: bool = False, seeds: int | None = None
 ) -> list[Method]:
     """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
 
@@ -185,7 +185,7 @@ def verify(
     folder: Path,
     options: SideBySide,
     judge: Callable[[Comparison], tuple[list[str], list[dict[str, Any]]]],
-    own: Own = NONE,
+    own: OwnMethods = NO_METHODS,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[str, bool]:
     """Run again what the results.json of a folder claims, in a temporary folder; `options` and `done` as of `Run`.
@@ -228,7 +228,7 @@ def _excess(claimed: _Claim, measured: _Claim) -> float:
     return abs(said - found) / allowed if isfinite(found) else inf
 
 
-def _claimed_methods(claimed: dict[str, Any], path: Path, own: Own) -> list[Method]:
+def _claimed_methods(claimed: dict[str, Any], path: Path, own: OwnMethods) -> list[Method]:
     """Methods that results are of, which must be there."""
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
     command = shlex.split(claimed["provenance"]["command"])

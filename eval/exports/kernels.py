@@ -89,7 +89,7 @@ def observe(device: Device, count: int) -> None:
     block = device.block
     block[(at.COUNTS + 1) * LANES] = block[at.COUNTS * LANES]
     block[at.COUNTS * LANES] = float(count)
-    observe_block(block, device.tile, device.observation, at.Task(TRAPEZOID, ENCODER, LUMPED, IDEAL, False))
+    observe_block(block, device.tile, device.observation, at.StepSettings(TRAPEZOID, ENCODER, LUMPED, IDEAL, False))
 
 
 @compiled

@@ -105,9 +105,9 @@ def with_effect(table: Floats, name: str, size: float) -> Floats:
 
     Arms are rows of `table`. Phases, orders, Stribeck speeds and the signs of effects that have one stay as drawn.
     """
-    driven = table.copy()
+    real = table.copy()
     for field in DRIVE_EFFECTS:
         column = getattr(COLUMN, field)
         there = name in (field, ALL) and field in EFFECTS and size > 0
-        driven[:, column] = np.copysign(size * DRIVE_RANGES[field][1], table[:, column]) if there else 0.0
-    return driven
+        real[:, column] = np.copysign(size * DRIVE_RANGES[field][1], table[:, column]) if there else 0.0
+    return real

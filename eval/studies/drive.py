@@ -57,8 +57,8 @@ def measure(options: Options) -> dict[str, Any]:
     for method in methods:
         ideal = results[method.name, IDEAL, options.arms]
         for effect in effects:
-            driven = results[method.name, effect, options.arms]
-            joined = {name: np.concatenate([ideal[name], driven[name]]) for name in ideal}
+            real = results[method.name, effect, options.arms]
+            joined = {name: np.concatenate([ideal[name], real[name]]) for name in ideal}
             rows.append({"controller": method.name, "effect": effect, **_summary(joined)})
     return {
         "arms": options.arms,

@@ -81,7 +81,7 @@ def test_what_does_not_fit_is_refused():
     weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
     felt: Any = WITH_ACCELEROMETER["preview"]()
     changed = NormalizeObservation(BeltArmEnv()), RescaleAction(BeltArmEnv(), np.float32(-2), np.float32(2))
-    normalised: Any = type("Normalised", (Silent,), {"get_vec_normalize_env": lambda self: self})()
+    normalised: Any = type("Normalised", (Silent,), {"get_vec_normalize_env": lambda self: self, "norm_obs": True})()
     flat: Any = ResidualController(
         paper(), cast("Any", SimpleNamespace(predict=lambda o, *_: (o[:, 0], None))), SETTINGS
     )

@@ -27,7 +27,7 @@ from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, r
 from eval.comparison.carrying import carry
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.rollouts import Failure
-from eval.comparison.run import Own, choose_methods
+from eval.comparison.run import OwnMethods, choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
@@ -207,9 +207,9 @@ def test_policies_are_grouped_by_method(tmp_path: Path):
         (("adaptive",), False, ["adaptive", "my-ppo", "Raises"]),
         (("lqg", "privileged"), True, ["lqg", "lqg+guard", "my-ppo", "my-ppo+guard", "Raises", "privileged"]),
     ):
-        methods = choose_methods(chosen, Own(folders[:1], added), guard=guard)
+        methods = choose_methods(chosen, OwnMethods(folders[:1], added), guard=guard)
         assert [method.name for method in methods] == names
-    methods = choose_methods(["lqg"], Own([POLICIES / "ppo" / "seed4"]), seeds=1)
+    methods = choose_methods(["lqg"], OwnMethods([POLICIES / "ppo" / "seed4"]), seeds=1)
     assert [method.name for method in methods] == ["lqg", "ppo"]
 
 

@@ -76,8 +76,8 @@ def counts(data: Data, view: str) -> Counter[str]:
 def _verdict(row: Data) -> Data:
     """Whether K4 still suppresses the vibration of the standard move with all effects together."""
     by_name = {drive["drive"]: drive for drive in row["drives"]}
-    ideal, driven = by_name[IDEAL], by_name[ALL]
-    answers = {answer: driven["answers"].get(answer, 0) for answer in runs.ANSWERS[:3]}
+    ideal, real = by_name[IDEAL], by_name[ALL]
+    answers = {answer: real["answers"].get(answer, 0) for answer in runs.ANSWERS[:3]}
     draws, usual = sum(ideal["answers"].values()), max(ideal["answers"], key=ideal["answers"].get)
     reduced = answers["yes"] + answers["in part"]
     as_good = {"yes": answers["yes"], "in part": reduced}.get(usual)
@@ -90,7 +90,7 @@ def _verdict(row: Data) -> Data:
     return {
         "view": row["view"],
         "ideal": ideal,
-        "driven": driven,
+        "real": real,
         "usual": usual,
         "answers": answers,
         "reduced": reduced,
