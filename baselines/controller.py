@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
@@ -10,7 +9,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from baselines.gains import AnyGains
-from baselines.reading import Reading, beginning, checked_memory, one_or_many, read, sample_of
+from baselines.reading import Reading, beginning, checked_memory, one_or_many, read, sample_of, warn_if_amid_a_move
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -18,7 +17,6 @@ from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import Profile
 
 Memory = TypeVar("Memory")
-_FORGOTTEN = "predict was called amid a move with state=None, and begins anew: pass the state that it returned last"
 
 
 class ClassicalController(ABC, Generic[Memory]):
@@ -71,8 +69,8 @@ class ClassicalController(ABC, Generic[Memory]):
         """
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, observation, self.remembers), state)
-        if state is None and memory is not None and episode_start is None and np.any(reading.step > 0):
-            warnings.warn(_FORGOTTEN, stacklevel=3)
+        if state is None and memory is not None and episode_start is None:
+            warn_if_amid_a_move(observation)
         action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
         return action.astype(np.float32)[:, None], memory
 

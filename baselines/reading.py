@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, NamedTuple
@@ -204,6 +205,13 @@ def beginning(memory: object, episode_start: Flags | None, observations: Singles
         return np.zeros(len(observations), np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
     begins = observations[:, _ELAPSED] < _FIRST
     return begins if episode_start is None else begins | np.asarray(episode_start, np.bool_)
+
+
+def warn_if_amid_a_move(observations: Singles) -> None:
+    """Warn that a controller which remembers was called without its state, unless all moves begin."""
+    if (observations[:, _ELAPSED] >= _FIRST).any():
+        forgot = "predict was called amid a move with state=None, and begins anew: pass the state that it returned last"
+        warnings.warn(forgot, stacklevel=4)
 
 
 def require_memory(memory: object, kind: type) -> None:

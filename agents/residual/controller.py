@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
-from baselines.reading import beginning, checked_memory, chosen, one_or_many, require_memory
+from baselines.reading import beginning, checked_memory, chosen, one_or_many, require_memory, warn_if_amid_a_move
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller, require_controller
@@ -134,6 +134,8 @@ class ResidualController:
         require_memory(state, ResidualMemory)
         count = len(observation)
         if state is None:
+            if episode_start is None:
+                warn_if_amid_a_move(observation)
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
         anew = beginning(state.informed, episode_start, observation, self.remembers)
         begins = beginning(state.informed, anew, observation, self.informed.remembers)
