@@ -103,14 +103,14 @@ def one_or_many(predict: Callable[..., tuple[Singles, Any]]) -> Callable[..., tu
     def either(
         self: Any, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
-        seen = np.asarray(observation)
-        seen = seen if seen.dtype in (np.float32, np.float64) else seen.astype(np.float32)
+        seen = observation if isinstance(observation, np.ndarray) else np.asarray(observation)
+        seen = seen if seen.dtype.char in "fd" else seen.astype(np.float32)
         if seen.ndim == 1:
             action, memory = either(self, seen[None], state, episode_start, deterministic)
             return action[0], memory
         if seen.ndim != 2:
             raise ValueError(f"observations must have shape (size,) or (n, size), got {seen.shape}")
-        if episode_start is not None:
+        if episode_start is not None and getattr(episode_start, "shape", ()) != (len(seen),):
             flags, count = np.asarray(episode_start, np.bool_), len(seen)
             if flags.shape not in ((count,), (1,), ()):
                 raise ValueError(
@@ -136,9 +136,8 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     _require_entries(observations, sensors)
     size = observation.size(sensors)
     seen = np.empty((len(Sample._fields), len(observations)))
-    _write_samples(np.ascontiguousarray(observations[:, :_ENCODER_SIZE]), params.torque_limit, seen)
-    step = seen[_STEP]
-    if not np.isfinite(observations).all() or not np.all((step >= 0) & (step <= EPISODE_STEPS)):
+    sound = _write_samples(np.ascontiguousarray(observations[:, :size]), params.torque_limit, seen)
+    if not sound:
         raise ValueError(
             f"observations must be finite, and elapsed_time within 0 and 1.8 s, got {_worst(observations)}"
         )
@@ -147,7 +146,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     return Reading(
         *seen[:start],
         move=np.ascontiguousarray(seen[start:_STEP].T),
-        step=step.astype(np.intp),
+        step=seen[_STEP].astype(np.intp),
         last_command=seen[_STEP + 1],
         holds_part=seen[_STEP + 2],
         torsion=extra if sensors == "full" else None,
@@ -164,19 +163,28 @@ def _require_entries(observations: Singles, sensors: str = "encoder") -> None:
 
 def _worst(observations: Singles) -> str:
     """Name an entry of an observation that no sensor gives."""
-    wrong, elapsed = ~np.isfinite(observations), observations[:, _ELAPSED]
-    wrong[:, _ELAPSED] |= (elapsed < -_FIRST) | (elapsed >= (2 * EPISODE_STEPS + 1) * _FIRST)
+    wrong, elapsed = ~np.isfinite(observations), observations[:, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
+    wrong[:, _ELAPSED] |= ~((elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5))
     arm, entry = np.argwhere(wrong)[0]
     name = observation.ENTRIES["encoder"][entry].name if entry < _ENCODER_SIZE else f"entry {entry}"
     return f"{name} {observations[arm, entry]:g} for arm {arm}"
 
 
 @compiled
-def _write_samples(observations: Singles, torque_limit: float, samples: Floats) -> None:
-    """Write the samples of n arms, a row for each field: laws read it faster."""
+def _write_samples(observations: Singles, torque_limit: float, samples: Floats) -> bool:
+    """Write the samples of n arms, a row for each field, which laws read faster; return whether all are in bounds."""
+    sound = True
     for i in range(len(observations)):
-        for k, value in enumerate(sample_from(observations[i], torque_limit)):
-            samples[k, i] = value
+        doubt = 0.0
+        for k in range(observations.shape[1]):
+            doubt += observations[i, k] - observations[i, k]  # 0 of what is finite
+        elapsed = observations[i, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
+        bounded = (doubt == 0.0) & (elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5)
+        sound = sound and bounded
+        if bounded:
+            for k, value in enumerate(sample_from(observations[i], torque_limit)):
+                samples[k, i] = value
+    return sound
 
 
 def chosen(which: Flags, these: Any, others: Any) -> Any:
