@@ -1,4 +1,4 @@
-"""Beginnings of a batch of arms: how they begin, and what they came to."""
+"""Episodes of a batch of arms: how they begin, and what they came to."""
 
 from __future__ import annotations
 

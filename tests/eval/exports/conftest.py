@@ -24,7 +24,7 @@ class CachingToolchain(Toolchain):
     programs: dict[Any, Path] = field(default_factory=dict, compare=False)
 
     def build(self, sources: list[Path], program: Path, *flags: str) -> None:
-        key = (*sources, *flags)
+        key = (*sources, *self.flags, *flags)
         if key not in self.programs:
             kept = sources[0].with_name(f"{program.name}-{len(self.programs)}")
             super().build(sources, kept, *flags)
