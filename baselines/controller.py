@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from baselines.gains import AnyGains
-from baselines.reading import Reading, beginning, checked_memory, one_or_many, read, sample_of, warn_if_amid_a_move
+from baselines.reading import Reading, beginning, copied_memory, one_or_many, read, sample_of, warn_if_amid_a_move
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -37,8 +37,15 @@ class ClassicalController(ABC, Generic[Memory]):
     needs_servo: ClassVar[bool] = False
     """Whether it feeds back an estimate of the whole arm, so that the guard gives it a servo to fall back to."""
 
+    _gains: Any = None
+
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()
+
+    @property
+    def gains(self) -> Any:
+        """The gains, None if it has none; other ones take another controller, since the law follows from them."""
+        return self._gains
 
     @abstractmethod
     def law(self, reading: Reading, begins: Flags, memory: Memory | None) -> tuple[Floats, Memory]:
@@ -112,7 +119,7 @@ class ScalarController(ClassicalController[Floats]):
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         count, (law, design, _) = len(begins), self.kernel()
-        following, torques = checked_memory(memory, count, self.memory_size), np.empty(count)
+        following, torques = copied_memory(memory, count, self.memory_size), np.empty(count)
         run_law(law, design, reading, begins, following, torques)
         return torques, following
 
@@ -145,11 +152,6 @@ class TunedController(ClassicalController[Memory]):
         super().__init__(params)
         self._gains = own_gains(gains, self.gains_type)
         self._design = self._known()
-
-    @property
-    def gains(self) -> Any:
-        """The gains; other ones take another controller, since the law follows from them."""
-        return self._gains
 
     @abstractmethod
     def _known(self) -> Any:

@@ -77,6 +77,7 @@ _BEFORE_STEP = tuple(map(observation.index, ("motor_angle_error", "motor_speed_e
 """Entries of an observation, in the order of a `Sample`'s fields up to the step."""
 _STEP = _MOVE_FIELD + 4  # of a `Sample`'s fields
 _ELAPSED, _LAST, _HOLDS = map(observation.index, ("elapsed_time", "last_command", "holds_part"))
+_DURATION, _RAMP = map(observation.index, ("duration", "ramp_time"))
 _FIRST = 0.5 * CONTROL_PERIOD / _SCALES[_ELAPSED]  # elapsed time that belongs to the first sample, scaled
 
 
@@ -131,7 +132,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         sensors: "encoder", "full" for the torsion as well, or "accelerometer" for the tip's acceleration.
 
     Raises:
-        ValueError: If there are fewer entries than the sensors have, or one of them is not finite.
+        ValueError: If there are fewer entries than the sensors have, or no sensor gives one of them.
     """
     _require_entries(observations, sensors)
     size = observation.size(sensors)
@@ -139,7 +140,8 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     sound = _write_samples(np.ascontiguousarray(observations[:, :size]), params.torque_limit, seen)
     if not sound:
         raise ValueError(
-            f"observations must be finite, and elapsed_time within 0 and 1.8 s, got {_worst(observations)}"
+            "observations must be finite, elapsed_time within 0 and 1.8 s, and duration and ramp_time above 0 s, got "
+            + _worst(observations)
         )
     extra = observations[:, _ENCODER_SIZE:size] * observation.scales(sensors)[_ENCODER_SIZE:]
     start = _MOVE_FIELD
@@ -165,6 +167,7 @@ def _worst(observations: Singles) -> str:
     """Name an entry of an observation that no sensor gives."""
     wrong, elapsed = ~np.isfinite(observations), observations[:, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
     wrong[:, _ELAPSED] |= ~((elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5))
+    wrong[:, [_DURATION, _RAMP]] |= ~(observations[:, [_DURATION, _RAMP]] > 0)
     arm, entry = np.argwhere(wrong)[0]
     name = observation.ENTRIES["encoder"][entry].name if entry < _ENCODER_SIZE else f"entry {entry}"
     return f"{name} {observations[arm, entry]:g} for arm {arm}"
@@ -179,7 +182,8 @@ def _write_samples(observations: Singles, torque_limit: float, samples: Floats) 
         for k in range(observations.shape[1]):
             doubt += observations[i, k] - observations[i, k]  # 0 of what is finite
         elapsed = observations[i, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
-        bounded = (doubt == 0.0) & (elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5)
+        moves = (observations[i, _DURATION] > 0) & (observations[i, _RAMP] > 0)
+        bounded = (doubt == 0.0) & (elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5) & moves
         sound = sound and bounded
         if bounded:
             for k, value in enumerate(sample_from(observations[i], torque_limit)):
@@ -231,18 +235,19 @@ def require_memory(memory: object, kind: type) -> None:
         )
 
 
-def checked_memory(memory: Any, *shape: int) -> Any:
-    """Copy an array that a controller remembers, after a look at its shape; zeros where nothing is remembered yet.
-
-    Raises:
-        ValueError: If it is none of this shape: the memory of other arms, or of another controller.
-    """
+def copied_memory(memory: Any, *shape: int) -> Any:
+    """Copy an array that a controller remembers, see `require_shape`; zeros where nothing is remembered yet."""
     if memory is None:
         return np.zeros(shape)
+    require_shape(memory, *shape)
+    return memory.astype(np.float64)
+
+
+def require_shape(memory: Any, *shape: int) -> None:
+    """Refuse, by ValueError, what is no array of this shape: the memory of other arms, or of another controller."""
     if not isinstance(memory, np.ndarray) or memory.shape != shape:
         found = f"shape {memory.shape}" if isinstance(memory, np.ndarray) else type(memory).__name__
         raise ValueError(
             f"state must be what this controller returned for these {shape[0]} observations, of shape {shape}, got "
             f"{found}: begin with state=None"
         )
-    return memory.astype(np.float64)

@@ -108,7 +108,7 @@ def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) ->
     if state is not None:
         if np.shape(state) != shape:
             raise ValueError(f"state must have shape {shape}, got {np.shape(state)}: begin with state=None")
-        memory = state if start is None else chosen(np.broadcast_to(start, len(state)), memory, state)
+        memory = state if start is None else chosen(start, memory, state)
     return memory
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Knowledge, cut
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
-from baselines.reading import beginning, checked_memory, chosen, one_or_many, require_memory, warn_if_amid_a_move
+from baselines.reading import beginning, chosen, one_or_many, require_memory, require_shape, warn_if_amid_a_move
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller, require_controller
@@ -140,7 +140,7 @@ class ResidualController:
         anew = beginning(state.informed, episode_start, observation, self.remembers)
         begins = beginning(state.informed, anew, observation, self.informed.remembers)
         informed = self.informed.advance(observation, state.informed, begins)
-        checked_memory(state.residual, count, 1)
+        require_shape(state.residual, count, 1)
         age = np.where(begins, 0, state.age)
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0

@@ -34,7 +34,7 @@ from baselines.estimation.filter_design import (
     room_of,
 )
 from baselines.estimation.observer import QUANTUM
-from baselines.reading import Reading, checked_memory
+from baselines.reading import Reading, require_shape
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
@@ -276,7 +276,7 @@ class ArmIdentifier:
         inputs = inputs_of(reading, begins if belief else np.ones(count, np.bool_))
         result = empty_belief(count, len(self.design.mean), self._axes)
         if belief is not None:
-            checked_memory(belief.tracks.mean, *result.tracks.mean.shape)
+            require_shape(belief.tracks.mean, *result.tracks.mean.shape)
         if self._axes:
             assert reading.acceleration is not None, "decoded with the acceleration, see `sensors`"
             seen = unfiltered(reading.acceleration, belief.acceleration if belief else reading.acceleration)

@@ -10,7 +10,7 @@ import numpy as np
 from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.reading import beginning, checked_memory, one_or_many, require_memory
+from baselines.reading import beginning, one_or_many, require_memory, require_shape
 from baselines.registry import CONTROLLERS
 from beltarm_env import observation as layout
 from beltarm_env.arm import params_table
@@ -98,7 +98,7 @@ class GuardedController:
         begins = beginning(state, episode_start, observation)
         if state is None:
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
-        checked_memory(state.guard, len(begins), GUARD_SIZE)
+        require_shape(state.guard, len(begins), GUARD_SIZE)
         action, own = self.controller.predict(observation, state.own, episode_start, deterministic)
         servo, fallback, asked = self._servo_torque(observation, state, begins)
         limit, (base, residual, surprise) = self.params.torque_limit, self.parts(action, own)

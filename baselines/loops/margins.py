@@ -40,7 +40,7 @@ _INTEGRATES = 1e-6  # distance of an open pole to z = 1 below which L is infinit
 
 
 class Margins(NamedTuple):
-    """Stability margins of n loops, each of shape (n,); those of an unstable one mean nothing."""
+    """Stability margins of n loops, each of shape (n,); those of an unstable one are not a number."""
 
     stable: Flags
     gain_up: Floats  # factor above 1, infinite if there is none
@@ -100,7 +100,8 @@ def margins_from_poles(open_z: Poles, closed_z: Poles) -> Margins:
     with np.errstate(invalid="ignore"):  # at an end of the grid there is no bracket
         found = find_minimum(lambda turn, loop: np.abs(one_plus_loop(turn, loop)), bracket, args=(every,))
     modulus = np.fmin(np.abs(distances[every, least]), found.f_x)
-    return Margins(np.abs(closed_z).max(axis=1) < 1, up, down, np.degrees(phase), delay, modulus)
+    stable = np.abs(closed_z).max(axis=1) < 1
+    return Margins(stable, *(np.where(stable, each, np.nan) for each in (up, down, np.degrees(phase), delay, modulus)))
 
 
 def _grid(open_z: Poles, closed_z: Poles) -> Floats:

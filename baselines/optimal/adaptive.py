@@ -107,11 +107,6 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer", model)
 
-    @property
-    def gains(self) -> AdaptiveGains:
-        """Weights, prior uncertainty and noise."""
-        return self._gains
-
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
         return memory.belief

@@ -48,7 +48,7 @@ from baselines.planning.plan import (
     step_of_plan,
     torque_between,
 )
-from baselines.reading import Reading, Sample, checked_memory, chosen, move_of, one_or_many, require_memory
+from baselines.reading import Reading, Sample, chosen, copied_memory, move_of, one_or_many, require_memory
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled
@@ -78,7 +78,7 @@ class ObserverController(TunedController[Any]):
     def _observed(self, reading: Reading, begins: Flags, memory: Floats | None) -> Floats:
         """Copy of the laws' memory, shape (n, memory_size), with the estimates of this sample."""
         count = len(begins)
-        rows = checked_memory(memory, count, self.memory_size)
+        rows = copied_memory(memory, count, self.memory_size)
         simulation, self._simulation = self._simulation, None  # while it is in use: another thread makes its own
         if simulation is None or len(simulation.limits) < count:
             simulation = ArmSimulation(self.params, count)

@@ -146,11 +146,6 @@ class PaperController(ScalarController):
         self._gains = own_gains(gains, PaperGains)
         self._design = PaperDesign(self.params.plant(), self._gains.numbers())
 
-    @property
-    def gains(self) -> PaperGains:
-        """The gains."""
-        return self._gains
-
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:
     """Controller of the paper without vibration feedback, K_4 = 0: computed torque and PD for a rigid arm."""

@@ -87,7 +87,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
 
     def __init__(self, *arms: Sequence[ArmParams], gains: AdaptiveGains | None = None, model: str = "lumped") -> None:
         super().__init__(arms[0][0])
-        self.gains = tuned("adaptive", AdaptiveGains) if gains is None else gains
+        self._gains = tuned("adaptive", AdaptiveGains) if gains is None else gains
         self._tables = np.array([params_table(in_move) for in_move in arms])
         self._delays = np.array([dead_time(arm) for arm in arms[0]]) / CONTROL_PERIOD
         self._table, self._simulation = self._tables[0], ArmSimulation(arms[0], model=model)

@@ -72,7 +72,7 @@ def exponential(matrix: Floats, scale: float) -> Floats:
 
 @compiled
 def write_sampled_models(
-    plant: Plant, angles: Floats, period: float, models: tuple[Floats, Floats, Floats], model: Model
+    plant: Plant, angles: Floats, period: float, tables: tuple[Floats, Floats, Floats], model: Model
 ) -> None:
     """Write the linear models of one arm behind an ideal drive from one sample to the next, at m joint angles.
 
@@ -83,11 +83,11 @@ def write_sampled_models(
         plant: Coefficients of the arm.
         angles: theta_1 [rad], shape (m,).
         period: Between samples [s]; the arm's fastest rate times it has to stay below about 0.2.
-        models: A, shape (m, 4, 4), b and e, each of shape (m, 4); written.
+        tables: A, shape (m, 4, 4), b and e, each of shape (m, 4); written.
         model: Whose equations of motion. On the full arm, alpha stands for a torque of -M2 alpha at phi.
     """
     held, stepped = np.zeros((_SIZE, _SIZE)), np.empty((4, _SIZE))
-    transition, by_torque, by_acceleration = models
+    transition, by_torque, by_acceleration = tables
     for k in range(angles.shape[0]):
         _, cosine = sine_cosine(angles[k])
         _fill(held, plant, plant.stiffness, cosine, model)

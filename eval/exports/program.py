@@ -166,7 +166,8 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     """Law of a controller for one arm; raises ValueError if it has none."""
     if not hasattr(controller, "kernel"):
         able = ", ".join(exportable())
-        raise ValueError(f"{name!r} has no `kernel()`, a law for one arm, and cannot be exported; these can: {able}")
+        remedy = f"give it one, as docs/examples/my_servo.py does; these can: {able}"
+        raise ValueError(f"{name!r} has no `kernel()`, a law for one arm, and cannot be exported: {remedy}")
     if plan_samples != 1 and not isinstance(controller, AdaptiveController):
         raise ValueError(f"{name!r} makes no plan while the arm moves: leave out --plan-samples {plan_samples}")
     try:

@@ -97,7 +97,7 @@ def test_what_does_not_fit_is_refused():
         *((("put ResidualEnv first",), partial(ResidualEnv, each, paper(), SETTINGS)) for each in changed),
         (("predict", "'paper'"), lambda: ResidualController(cast("Any", "paper"), Silent(), SETTINGS)),
         (("VecNormalize",), lambda: ResidualController(paper(), normalised, SETTINGS)),
-        (("(3, 1)", "(3,)"), lambda: flat.predict(np.zeros((3, 26), np.float32))),
+        (("(3, 1)", "(3,)"), lambda: flat.predict(np.full((3, 26), 1e-5, np.float32))),
         (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
         *(((), partial(single.step, cast("Any", residual))) for residual in ([math.nan], [0.1, 0.2], "0.5")),
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),

@@ -87,6 +87,7 @@ def test_one_arm_is_driven_too_and_what_does_not_fit_is_refused(name: str, guard
         (("begin with",), (seen, [1.0])),
         (("episode_start", "(3,)", "(3, 1)"), (seen, memory, np.ones((3, 1), np.bool_))),
         (("elapsed_time nan for arm 2",), (wrong,)),
+        (("duration 0 for arm 0",), (np.zeros_like(seen),)),
         (("(n, 26)", "(3, 25)"), (seen[:, :25],)),
     ):
         refused(ValueError, words, partial(predict, *arguments))

@@ -235,7 +235,7 @@ def test_who_knows_arm_and_equations_costs_less_and_the_privileged_one_knows_its
     told, blind = (rollout(AdaptiveController(model=model), 4, **arms) for model in ("lagrangian", "lumped"))
     assert (known.cost < told.cost).all() and told.cost.mean() < 0.9 * blind.cost.mean()
     for shape, words in (((4, size()), ("sensors='full'",)), ((3, size("full")), ("4 arms", "3"))):
-        refused(ValueError, words, partial(oracle.predict, np.zeros(shape, np.float32)))
+        refused(ValueError, words, partial(oracle.predict, np.full(shape, 0.5, np.float32)))
     refused(ValueError, ("'full'",), partial(rollout, oracle, 4, sensors="accelerometer"))
 
 
