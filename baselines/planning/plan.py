@@ -19,6 +19,7 @@ as states of the actuator's own in the plan, for the command held over the dead 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -55,6 +56,7 @@ class Problem(NamedTuple):
     left: float  # torque that the limit leaves beside friction [N m]
     model: LinearArm
     weights: Weights
+    rest: int  # sample from which the reference rests: the steps from there on are alike, and set once
 
 
 @inlined
@@ -62,7 +64,8 @@ def problem_of(move: MoveShape, row: Floats, model: LinearArm, weights: Weights)
     """Problem of an arm with a row of constants, shape (len(FIELDS),), and their linear model."""
     plant = plant_of(row)
     friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
-    return Problem(move, plant, max(plant.torque_limit - friction, 0.1 * plant.torque_limit), model, weights)
+    rest = math.ceil(move.duration / CONTROL_PERIOD)
+    return Problem(move, plant, max(plant.torque_limit - friction, 0.1 * plant.torque_limit), model, weights, rest)
 
 
 @inlined
@@ -107,10 +110,11 @@ def plan_backwards(problem: Problem, to_go: CostToGo, first: int, last: int, row
     after = reference_of(problem, last)
     for k in range(last - 1, first - 1, -1):
         now = reference_of(problem, k)
-        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, errors)
+        if k < problem.rest or k == last - 1:
+            write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, errors)
+            set_step(problem, now, after, f, g, h)
         add_tip_cost(to_go.matrix, errors, of_errors)
         to_go.matrix[4, 4] += weights.torque
-        set_step(problem, now, after, f, g, h)
         for i in range(4):
             f[i, 4] = g[i]
         slope_in_input(5, to_go, PricedStep(f, g, h, weights.change, 0.0), slope)

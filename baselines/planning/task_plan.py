@@ -119,7 +119,8 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem) -> None:
         z[i] = state[i] - (rows[first, i] + share * (rows[first + 1, i] - rows[first, i]))
     for k in range(first - 1, len(rows) - 1):
         now = max(k, first)
-        set_step(problem, reference_of(problem, now), reference_of(problem, now + 1), a, b, d)
+        if k <= first or k <= problem.rest:
+            set_step(problem, reference_of(problem, now), reference_of(problem, now + 1), a, b, d)
         torque = rows[now, TORQUE]
         for i in range(4):
             torque -= rows[now, GAIN + i] * z[i]
@@ -148,8 +149,9 @@ def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, sample: Sa
     after = reference_of(problem, len(rows) - 1)
     for k in range(len(rows) - 2, first - 1, -1):
         now, torque = reference_of(problem, k), rows[k, TORQUE]
-        set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
-        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, sample.of_state)
+        if k < problem.rest or k == len(rows) - 2:
+            set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
+            write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, sample.of_state)
         x = ArmState._make(rows[k + 1, i] for i in range(4))
         _write_errors(x, after, plant, errors)
         jump = torque - rows[k - 1, TORQUE]
@@ -169,7 +171,8 @@ def _follow(steps: Floats, first: int, problem: Problem, sample: Sample) -> None
     now = reference_of(problem, first)
     for k in range(first, len(steps) - 1):
         after = reference_of(problem, k + 1)
-        set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
+        if k <= problem.rest or k == first:
+            set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
         last = followed_change(4, steps[k, 5], steps[k, :5], away, last)
         deviate(4, sample.transition, sample.by_input, away, last, following)
         for i in range(4):

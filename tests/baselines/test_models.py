@@ -88,7 +88,7 @@ def test_a_plans_step_is_the_simulations_along_a_moving_reference(model: str):
     """With the torque by which turning pulls at the arm, within a tenth of it; of either model."""
     arm = ArmParams(coulomb_friction=0.0, payload_mass=0.2)
     simulation, linear = ArmSimulation(arm, model=model), linear_arm_of(arm.row(), MODELS[model])
-    problem = Problem(MoveShape(0.0, 1.0, 1.0, 0.2), arm.plant(), 0.3, linear, Weights())
+    problem = Problem(MoveShape(0.0, 1.0, 1.0, 0.2), arm.plant(), 0.3, linear, Weights(), 667)
     for angle, speed, torque in ((0.5, 1.5, 0.0), (1.2, -2.0, 0.1), (0.8, 2.0, -0.2)):
         a, b, d, after = np.empty((4, 4)), np.empty(4), np.empty(4), angle + speed * CONTROL_PERIOD
         set_step(problem, Reference(angle, speed, 0.0), Reference(after, speed, 0.0), a, b, d)
