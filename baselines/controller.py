@@ -118,7 +118,11 @@ class ScalarController(ClassicalController[Floats]):
 
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        count, (law, design, _) = len(begins), self.kernel()
+        count, (law, design, own) = len(begins), self.kernel()
+        if memory is None and (np.shape(own) != (self.memory_size,) or np.any(own)):
+            raise ValueError(
+                f"the memory of kernel() must be zeros of shape ({self.memory_size},), by memory_size, got {own}"
+            )
         following, torques = copied_memory(memory, count, self.memory_size), np.empty(count)
         run_law(law, design, reading, begins, following, torques)
         return torques, following

@@ -27,7 +27,7 @@ class Reading(NamedTuple):
     reference_speed: Floats  # [rad/s]
     reference_acceleration: Floats  # [rad/s^2]
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
-    step: Integers  # control periods since the move's start
+    step: Integers  # control periods since the move's start; on a drive that runs on, at most 1333
     last_command: Floats  # torque commanded over the last period [N m]
     holds_part: Floats  # 1 where the gripper holds a part, else 0
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone

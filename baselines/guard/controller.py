@@ -95,7 +95,7 @@ class GuardedController:
     ) -> tuple[Singles, GuardedMemory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         require_memory(state, GuardedMemory)
-        begins = beginning(state, episode_start, observation)
+        begins, anew = (beginning(state, episode_start, observation, lasts) for lasts in (False, True))
         if state is None:
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
         require_shape(state.guard, len(begins), GUARD_SIZE)
@@ -105,7 +105,7 @@ class GuardedController:
         angle, last = observation[:, _ANGLE] * _ANGLE_SCALE, limit * observation[:, _LAST].astype(np.float64)
         inputs = (limit * base, limit * residual, limit * servo, angle, surprise, last)
         guard, torques = state.guard.copy(), np.empty(len(begins))
-        guard_arms(self._design, np.column_stack(inputs), begins, guard, torques)
+        guard_arms(self._design, np.column_stack(inputs), begins, anew, guard, torques)
         memory = GuardedMemory(own, fallback, asked, guard)
         guarded = (torques / limit).astype(np.float32)[:, None]
         # Its own command to the last bit where the guard has nothing to change.

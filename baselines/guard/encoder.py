@@ -64,7 +64,7 @@ def finite(value: float) -> bool:
 
 @inlined
 def begin_encoder(angle: float, memory: Floats) -> None:
-    """Begin a move, taken to rest at a motor angle [rad], with a memory of zeros."""
+    """Begin an episode, taken to rest at a motor angle [rad], with a memory of zeros."""
     if finite(angle):
         memory[ANGLE] = memory[PLACE] = angle
 

@@ -119,23 +119,26 @@ def _mixed(design: GuardDesign, now: GuardInputs, last: float, memory: Floats) -
 
 
 @inlined
-def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: Floats) -> float:
+def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, anew: bool, memory: Floats) -> float:
     """Command of one sample [N m].
 
     Args:
         design: What is constant.
         now: What could drive the motor, and what is measured.
-        begins: Whether a move begins, when nothing in the memory counts.
+        begins: Whether a move begins, when all tiers begin anew.
+        anew: Whether an episode does, with the motor at rest: the encoder is watched from then on, over all its moves.
         memory: Of shape (GUARD_SIZE,), written.
     """
     last = now.last_command if finite(now.last_command) else 0.0
-    if begins:
+    if anew:
         memory[:] = 0.0
         begin_encoder(now.motor_angle, memory)
-        memory[LEARNED] = memory[SURPRISE] = 1.0
         seen = Seen(True, True, True)
     else:
         seen = watch_encoder(design, now.motor_angle, last, memory)
+    if begins or anew:
+        memory[ENCODER_SIZE:] = 0.0
+        memory[LEARNED] = memory[SURPRISE] = 1.0
     of_residual = _residual_level(design, now.residual, memory)
     of_observer = _observer_level(design, now.surprise, memory)
     level = max(of_residual, of_observer)
@@ -161,16 +164,19 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, memory: 
 
 
 @compiled
-def guard_arms(design: GuardDesign, inputs: Floats, begins: Flags, memory: Floats, torques: Floats) -> None:
+def guard_arms(
+    design: GuardDesign, inputs: Floats, begins: Flags, anew: Flags, memory: Floats, torques: Floats
+) -> None:
     """Guard n arms.
 
     Args:
         design: Of all of them.
         inputs: Columns as `GuardInputs`, shape (n, 6).
         begins: Which arms begin a move, shape (n,).
+        anew: Which of them begin an episode, shape (n,).
         memory: Shape (n, GUARD_SIZE), written.
         torques: The commands [N m], shape (n,), written.
     """
     for arm in range(len(torques)):
         now = GuardInputs._make(inputs[arm, k] for k in range(6))
-        torques[arm] = guarded_torque(design, now, begins[arm], memory[arm])
+        torques[arm] = guarded_torque(design, now, begins[arm], anew[arm], memory[arm])

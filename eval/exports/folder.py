@@ -16,22 +16,26 @@ MANIFEST = "manifest.json"
 
 
 def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> None:
-    """Check that a folder is not there, is empty, or was written by an export of the same kind.
+    """Check that a folder is not there, is empty, or holds what an export of the same kind wrote.
 
-    An export is known by the entry "format" of a JSON file, the marker.
+    An export is known by the entry "format" of a JSON file, the marker, and its files by their sums there, if any.
 
     Raises:
-        ValueError: If it holds anything else.
+        ValueError: If it holds anything else, or one of its files was changed.
         OSError: If it cannot be read, or its parent cannot be written to.
     """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: choose another folder for --out")
     try:
-        known = json.loads((folder / marker).read_text(encoding="utf-8"))["format"] == form
-    except (OSError, ValueError, KeyError, TypeError):
-        known = False
-    if folder.exists() and any(folder.iterdir()) and not known:
-        raise ValueError(f"{folder} holds other files: choose an empty folder for --out, or one of an earlier export")
+        manifest = json.loads((folder / marker).read_text(encoding="utf-8"))
+        sums = manifest.get("sha256") if manifest["format"] == form else {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        sums = {}
+    for path in sorted(folder.iterdir()) if folder.exists() and isinstance(sums, dict) else ():
+        if not (sums and path.name == marker) and not (
+            path.is_file() and sums.get(path.name) == _sum(path.read_bytes())
+        ):
+            raise ValueError(f"{folder} holds {path.name}, which no export wrote: choose another folder for --out")
     require_writable(folder.parent)
 
 
@@ -52,9 +56,13 @@ def write_export(folder: Path, name: str, title: str, params: ArmParams, files: 
         "torque_limit": params.torque_limit,
         "command": command_line(),
         "software": software("numpy", "ziglang"),
-        "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
+        "sha256": {file: _sum(content) for file, content in sorted(files.items())},
     }
     write_folder(folder, {**files, MANIFEST: (json.dumps(manifest, indent=2) + "\n").encode()})
+
+
+def _sum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def write_folder(folder: Path, files: dict[str, bytes]) -> None:

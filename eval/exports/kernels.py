@@ -183,11 +183,10 @@ def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None,
     def step(design: Guarded, limit: float, device: Device, memory: Guarded, count: int) -> float:
         observe(device, count)
         now = sample_from(device.observation[0], limit)
-        begins = device.begins[0] != NOTHING
-        anew = device.begins[0] == EPISODE if remembers else begins
-        proposal = propose(design.own, limit, device, now, anew, memory.own)
+        begins, anew = device.begins[0] != NOTHING, device.begins[0] == EPISODE
+        proposal = propose(design.own, limit, device, now, anew if remembers else begins, memory.own)
         if not guarded:
-            return commanded(device, proposal.action, limit)
+            return commanded(device, proposal.action if proposal.action == proposal.action else 0.0, limit)
         row, asked = memory.guard.row, memory.guard.asked
         asks = row[ASKS] != 0.0 and not begins
         fallback = np.nan
@@ -199,7 +198,7 @@ def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None,
             asked[0] = 1 if asks else 0
         base, residual = limit * proposal.base, limit * proposal.residual
         inputs = GuardInputs(base, residual, fallback, now.motor_angle, proposal.surprise, now.last_command)
-        torque = guarded_torque(design.guard, inputs, begins, row)
+        torque = guarded_torque(design.guard, inputs, begins, anew, row)
         cautious: Any = np.float32(torque / limit)
         return commanded(device, cautious if row[CHANGED] != 0.0 else proposal.action, limit)
 

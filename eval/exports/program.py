@@ -76,6 +76,9 @@ def export(options: Options) -> None:
 
 def _check(options: Options, loop: Loop, folder: Path) -> None:
     """Write a program into a folder, compile it and compare it with its controller."""
+    own, usual = ((arm.gear_ratio, arm.torque_limit) for arm in (loop.params, ArmParams()))
+    if own != usual:
+        raise ValueError(f"the check has arms of gear ratio and torque limit {usual}, not {own}: give --no-check")
     write_program(folder, loop)
     splits, controller = development_set().splits, controller_of(options.source, options.guard)
     differing = samples = 0
@@ -87,7 +90,8 @@ def _check(options: Options, loop: Loop, folder: Path) -> None:
         if taken := footprint(folder, loop.name, core):
             print(f"{core}: {', '.join(f'{size / 1024:.0f} kB of {kind}' for kind, size in taken._asdict().items())}")
     if differing and options.plan_samples == 1:
-        raise ValueError(f"program and controller differ in {differing} of {samples} samples")
+        remedy = "BELTARM_ENGINE=checked, or plain, may show why"
+        raise ValueError(f"program and controller differ in {differing} of {samples} samples: {remedy}")
 
 
 def write_program(folder: Path, loop: Loop) -> None:

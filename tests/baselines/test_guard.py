@@ -32,7 +32,8 @@ ARMS: dict[str, Any] = {"randomization": TRAIN_RANGES, "seed": 4_900_100}
 
 class Bench:
     def __init__(self, servo: float = -0.01) -> None:
-        self.memory, self.command, self.begins, self.servo = np.full(guard.GUARD_SIZE, np.nan), 0.0, True, servo
+        self.memory, self.command, self.servo = np.full(guard.GUARD_SIZE, np.nan), 0.0, servo
+        self.begins = self.anew = True
 
     def step(
         self, base: float = 0.01, residual: float = 0.02, angle: float = 10.0, surprise: float = 0.9
@@ -40,8 +41,8 @@ class Bench:
         """Command [N m] and level after a sample."""
         servo = self.servo if not self.begins and self.memory[guard.ASKS] != 0 else math.nan
         now = guard.GuardInputs(base, residual, servo, angle, surprise, self.command)
-        self.command = guard.guarded_torque(DESIGN, now, self.begins, self.memory)
-        self.begins = False
+        self.command = guard.guarded_torque(DESIGN, now, self.begins, self.anew, self.memory)
+        self.begins = self.anew = False
         return self.command, float(self.memory[guard.LEVEL])
 
     def steps(self, count: int, **given: float) -> tuple[float, float]:
@@ -54,7 +55,7 @@ class TestKernel:
     def test_command_is_a_number_within_its_limits_whatever_comes_in(self, rows: list[tuple[float, ...]]):
         memory = np.full(guard.GUARD_SIZE, np.nan)
         for k, row in enumerate(rows):
-            command = guard.guarded_torque(DESIGN, guard.GuardInputs(*row), k == 0, memory)
+            command = guard.guarded_torque(DESIGN, guard.GuardInputs(*row), k % 20 == 0, k == 0, memory)
             assert abs(command) <= LIMIT
             last = row[5] if math.isfinite(row[5]) else 0.0
             if abs(last) <= LIMIT:
@@ -123,6 +124,9 @@ class TestKernel:
         assert bench.step(base=-0.2, angle=angle + 0.1) == (before, guard.SERVO_LEVEL), "shown twice"
         assert bench.step(base=-0.2, angle=angle + 0.3)[0] == before, "its speed is no speed"
         assert bench.step(base=-0.2, angle=angle + 0.4)[0] < before
+        bench.begins = True
+        levels = [bench.step(angle=angle + 0.5 + 0.1 * k)[1] for k in range(9)]
+        assert levels == [guard.LEARNED_LEVEL] * 9, "a move that begins while the motor turns"
 
     @pytest.mark.parametrize("torque", [0.2, -0.2])
     def test_motor_that_rests_under_a_large_torque(self, torque: float):

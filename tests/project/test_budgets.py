@@ -20,11 +20,8 @@ def test_lines(folder: str):
     assert sum(path.read_bytes().count(b"\n") for path in sources(ROOT / folder)) <= LINES[folder]
 
 
-def test_commands():
+def test_commands_and_documents():
     assert len([path for path in (ROOT / "eval").glob("*.py") if is_command(path)]) <= COMMANDS
-
-
-def test_documents():
     listed = subprocess.run(["git", "ls-files", "docs"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:
         pytest.skip("this is no checkout")

@@ -69,12 +69,9 @@ def test_the_page_shows_what_the_translator_writes(tmp_path: Path):
     assert equation in (ROOT / "beltarm_env/physics/state.py").read_text(encoding="utf-8")
 
 
-def test_the_readme_of_the_translator(tmp_path: Path):
+def test_the_readme_of_the_translator_and_the_table_of_variables(tmp_path: Path):
     (program,) = blocks("python", README.read_text(encoding="utf-8"))
     assert blocks("c")[0] in output_of(program, tmp_path)
-
-
-def test_the_table_has_every_variable():
     engine = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "beltarm_env/engine").glob("*.py"))
     read = set(re.findall(r'environ(?:\.get\(|\[)"(BELTARM_\w+)"', engine))
     assert read == set(re.findall(r"^\| `(BELTARM_\w+)` \|", PAGE, re.MULTILINE))

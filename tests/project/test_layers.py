@@ -88,15 +88,12 @@ def test_packages_and_their_folders_import_one_way(package: str):
                 assert floor_of[room(other)] < floor_of[room(module)], f"{module} imports {other}"
 
 
-def test_the_environment_needs_what_it_declares_and_imports_the_rest_where_it_is_used():
+def test_the_environment_needs_what_it_declares_and_imports_the_rest_where_it_is_used_and_no_controller_needs_it():
     for module, path in modules("beltarm_env"):
         others = {name.split(".")[0] for name in imported(path)} - set(sys.stdlib_module_names) - {"beltarm_env"}
         assert others <= DEPENDENCIES | OPTIONAL, module
         assert {name.split(".")[0] for name in named(tree(path).body)}.isdisjoint(OPTIONAL), module
-
-
-def test_controllers_do_not_know_the_environment_class():
-    for module, path in modules("baselines"):
+    for module, path in modules("baselines"):  # which do not know the environment's class
         assert not re.search(r"BeltArm(Vector)?Env", path.read_text(encoding="utf-8")), module
 
 

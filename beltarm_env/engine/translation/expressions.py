@@ -56,6 +56,8 @@ class Expressions(Scope):
         return Const(node.value)
 
     def _name(self, node: ast.Name) -> Value:
+        if node.id in self.unset:
+            raise TranslationError(f"{node.id} is set on one way and not on another: set it before the if")
         if node.id in self.names:
             return self.names[node.id]
         if node.id in self.assigned:

@@ -71,6 +71,8 @@ class Program:
     def struct(self, kind: RecordType) -> str:
         """Name of a struct, declared at its first use."""
         if kind not in self.structs:
+            if taken := RESERVED & {name for name, _ in kind.fields}:
+                raise TranslationError(f"the field {min(taken)} of {kind.name} means something else in C: rename it")
             fields = [
                 f"    {self.struct(of) if isinstance(of, RecordType) else of} {name};" for name, of in kind.fields
             ]

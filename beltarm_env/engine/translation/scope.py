@@ -66,6 +66,7 @@ class Scope:
     kinds: dict[str, Any] = field(default_factory=dict)  # types of variables, from pass to pass
     negative: set[str] = field(default_factory=set)  # whole numbers that may be, from pass to pass
     names: dict[str, Value] = field(default_factory=dict)
+    unset: frozenset[str] = frozenset()  # names that one way of an if before has not set
     locals: dict[str, Local] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     line: int = 0

@@ -85,25 +85,26 @@ class Statements(Assignments):
         if isinstance(asked, Const):
             return self.block(statement.body if asked.value else statement.orelse)
         self.write(f"if ({bare(asked.code)}) {{")
-        left = []
-        before = dict(self.names)
+        before, unset = dict(self.names), self.unset
         ends = []
         for k, body in enumerate((statement.body, statement.orelse)):
             if k and not body:
-                left.append(False)
-                ends.append(before)
+                ends.append((False, before, unset))
                 continue
             if k:
                 self.write("} else {")
-            self.names = dict(before)
+            self.names, self.unset = dict(before), unset
             gone, lines = self._inside(lambda body=body: self.block(body))
-            left.append(gone)
-            ends.append(self.names)
+            ends.append((gone, self.names, self.unset))
             self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        # Names that both branches, or the one that goes on, have set; known values that differ are variables by now.
-        self.names = {**ends[0], **ends[1]} if not (left[0] or left[1]) else (ends[1] if left[0] else ends[0])
-        return all(left)
+        (gone, names, unset), (other_gone, others, other_unset) = ends
+        if gone or other_gone:
+            self.names, self.unset = (others, other_unset) if gone else (names, unset)
+        else:  # known values that differ are variables by now
+            self.names = {**names, **others}
+            self.unset = unset | other_unset | (names.keys() ^ others.keys())
+        return gone and other_gone
 
     def _do_while(self, statement: ast.While) -> bool:
         if statement.orelse:

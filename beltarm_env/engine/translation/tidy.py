@@ -87,7 +87,7 @@ def text_of(function: Callable[..., Any], name: str, body: Any, parameters: list
     read = _variables("\n".join(lines))
     names = [p.split()[-1].lstrip("*") for p in parameters]
     unused = [f"    (void){name};" for name in names if name not in read]
-    first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
+    first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /").replace("/*", "/ *")
     source = place(function)
     static = "INLINED" if body.program.runs_here and getattr(function, "inlined", False) else "static"
     head = f"{static} {returns} {name}({', '.join(parameters) or 'void'})"

@@ -140,6 +140,9 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert manifest["format"] == FORMAT and manifest["name"] == "ei"
     assert manifest["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert b"ei_init" in files["README.md"] and b"-ffp-contract=off" in files["README.md"]
+    (own := tmp_path / "made" / "main.c").touch()
+    assert "main.c" in stopped(export.main, ("c", PPO, "--no-check", "--out", "made"), tmp_path)[1] and own.exists()
+    own.unlink()
     title = write(PPO, "--no-check", cwd=tmp_path)["title"]
     assert "SHA-256" in title and "guard" in title
     manifest = write(f"{EXAMPLES / 'my_servo.py'}:MyServo", "--episodes", "1", "--no-guard", cwd=tmp_path)

@@ -197,12 +197,11 @@ def loop_variables(n: int) -> tuple[int, ...]:
 
 @case((row(), 4), (row(), 1))
 def views_by_what_a_loop_counts(a: Any, n: int) -> tuple[int, ...]:
-    total = 0
+    total, some = 0, a[:0]
     for i in range(n):
         if i == 1:
             some = a[:i]
-        if i >= 1:
-            total += len(some)  # pyright: ignore[reportPossiblyUnboundVariable]
+        total += len(some)
         every = a[: i + 1]
     for i in range(n):  # noqa: B007
         total += len(every)  # pyright: ignore[reportPossiblyUnboundVariable]
@@ -314,16 +313,16 @@ def zeros_in_loops(n: int) -> float:
 
 @case((square(), 1.0, 0.0), (square(), 1.0, 1.0))
 def names_from_turn_to_turn(a: Any, x: float, y: float) -> tuple[Any, ...]:
-    total = 0.0
+    total, first, pair, best = 0.0, a[0], Inner(a[0], 1), -1
     for i in range(len(a)):
         line = a[i, i:]
-        if i == 0:
+        if i == 1:
             first, pair = line, Inner(line, 1)
-        total += line[0] - first[0] - pair.row[1] + len(first)  # pyright: ignore[reportPossiblyUnboundVariable]
+        total += line[0] - first[0] - pair.row[1] + len(first)
     for k, value in enumerate((x, y)):
         if value > 0.0:
             best = k
-    return total, best  # pyright: ignore[reportPossiblyUnboundVariable]
+    return total, best
 
 
 def bumped(a: Any) -> float:

@@ -29,6 +29,8 @@ class Sum(Pair):
     def __add__(self, other):
         return Pair(self[0] + other[0], self[1] + other[1])
 
+Word = NamedTuple("Word", [("short", float), ("low", float)])
+
 def doubles(x):
     if x > 0.0:
         return np.zeros(2)
@@ -104,6 +106,8 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("while ... else",), (3,), "k = 0; while k < a:;     k += 1; else:;     k = 100; return k"),
     (("whole numbers", "range(a)"), (1.0,), "for _ in range(a): #;     a += 1.0; return a"),
     (("step",), (3,), "total = 0; for k in range(0, a, 0):;     total += k; return total"),
+    (("short", "in C"), (1.0,), "word = Word(a, a); for _ in range(3):;     word = Word(word.low, a); return word.low"),
+    (("before the if",), (1.0,), "if a > 0.0:;     y = 1.0; elif a < 0.0:;     y = -1.0; return y #"),
     (("before it is set",), (1.0,), "y = z + a #; z = y; return z"),
     (("max takes two numbers",), (ROW,), "return max(a) #"),
     (("in place",), (WHOLES, 0.5), "a += b; return a[0]"),
