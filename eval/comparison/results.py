@@ -26,8 +26,8 @@ MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
 """Module and functions that measure a comparison, for the digest of the code."""
 PAIRED_METRICS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 MOSTLY = 0.95
-"""Share of its moves that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
-arrives on easy arms alone looks better than it is."""
+"""Share of its moves that a method has to arrive in, to be marked in anything but the cost: the average of one that
+arrives on easy arms alone, or whose arms leave while their error is small, looks better than it is."""
 
 Against = Literal["best classical", "base"]
 """Other method of a pair: the classical one of the lowest cost, or the one that a learned method corrects."""
@@ -245,7 +245,7 @@ def _marks(outcomes: list[MethodOutcome], name: str) -> dict[str, Mark]:
     None where there are too few scenarios to say anything.
     """
     ranked = [outcome for outcome in outcomes if outcome.ranked]
-    shown = [outcome for outcome in ranked if name not in OF_ARRIVED or outcome.not_arrived <= 1 - MOSTLY]
+    shown = [outcome for outcome in ranked if name == "cost" or outcome.not_arrived <= 1 - MOSTLY]
     best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
     if best is None or best.metrics[name].shape[1] < statistics.LEAST_SCENARIOS:
         return {}
