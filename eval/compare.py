@@ -61,8 +61,8 @@ class Config(SideBySide):
     option for more methods, or for more training seeds under the same name."""
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A controller of your own, as package.module:Class or path/to/file.py:Class. Repeat the option for more. Its
-    results are kept until a file changes in its folder or below (for a package: in the whole package). If it depends on
-    files elsewhere, use --fresh."""
+    results are kept until a file changes in its folder or below (for a package: in the whole package), but for caches
+    and results; none may change while it runs. If it depends on files elsewhere, use --fresh."""
     time_limit: float = TIME_LIMIT
     """Seconds that a controller from --add may take for a batch of episodes: up to 200 scenarios of a split. It runs
     in a process of its own, and whatever ends that is a failure of this controller alone."""
@@ -103,7 +103,7 @@ def run(config: Config) -> None:
         if vain := [name.replace("_", "-") for name in names if getattr(config, name) != getattr(Config, name)]:
             raise ValueError(f"--{vain[0]} has no effect beside --verify, which runs what results claim: leave it out")
         with progress_count("parts", console) as done:
-            own = OwnMethods(config.policy, config.add, time_limit=config.time_limit)
+            own = OwnMethods(config.policy, config.add, config.verify, config.time_limit)
             news, sound = verify(config.verify, config, verdict, own, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)

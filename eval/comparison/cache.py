@@ -32,8 +32,9 @@ from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, nominal_profile, rollout
 from beltarm_env.sources import sources_digest
 from eval.comparison.carrying import Carried
+from eval.comparison.custom import PARTS
 from eval.comparison.methods import LARGEST_BATCH, Method
-from eval.comparison.rollouts import Failure, attempt, explained, run_controller
+from eval.comparison.rollouts import Failure, attempt, changed, explained, run_controller
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
 
 Metrics = dict[str, Floats]
@@ -42,7 +43,6 @@ LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
 SENSITIVE = "sensitive"
 """Of perturbed parts, beside the metrics: 1 where the cost changes, see `sensitive`."""
-FOLDER = "parts"
 _PACKAGES = ("numpy", "ziglang", "scipy", "gymnasium")
 """Packages whose version the numbers may depend on."""
 
@@ -73,7 +73,7 @@ class Part:
         method, split = self.method, self.split
         content = [EDITION, VERSION, split.of, split.digest, self.count, method.name, method.kind, method.identity]
         key = hashlib.sha256(json.dumps([*content, _code()]).encode()).hexdigest()[:16]
-        return folder / FOLDER / f"{self.stem}.{key}.safetensors"
+        return folder / PARTS / f"{self.stem}.{key}.safetensors"
 
     @property
     def stem(self) -> str:
@@ -101,8 +101,7 @@ def _code() -> list[str]:
 
 def measure(part: Part) -> Metrics:
     """Run all controllers of a method on the scenarios of a part."""
-    (metrics,) = measure_together([part])
-    return metrics
+    return measure_together([part])[0]
 
 
 def measure_together(parts: Sequence[Part]) -> list[Metrics]:
@@ -160,19 +159,24 @@ def read_kept(part: Part, folder: Path) -> Metrics | None:
     return None
 
 
-def keep(part: Part, folder: Path, metrics: Metrics) -> None:
-    """Keep the results of a part in place of those of other code, gains or policies; not if its identity is unknown.
+def keep(part: Part, folder: Path, metrics: Metrics) -> Metrics | Failure:
+    """Keep results of a part in place of those of other code, gains or policies; not if its identity is unknown.
+
+    Returns them, or a failure if the method's files changed.
 
     Raises:
         OSError: If they cannot be written.
     """
     if part.method.identity is None:
-        return
+        return metrics
+    if failure := changed(part.method, part.split.name):
+        return failure
     current = part.file(folder)
     write_arrays(current, metrics)
     for path in current.parent.glob(f"{part.stem}.*"):
         if path != current:
             path.unlink(missing_ok=True)
+    return metrics
 
 
 def run_parts(
@@ -189,9 +193,8 @@ def run_parts(
         OSError: If a result cannot be written, or a part broke off its process again and again.
         KeyboardInterrupt: On Ctrl-C, with a message about the parts that are kept.
     """
-    results: dict[int, Metrics | Failure] = {
-        k: kept for k, part in enumerate(parts) if (kept := read_kept(part, folder)) is not None
-    }
+    kept = enumerate(read_kept(part, folder) for part in parts)
+    results: dict[int, Metrics | Failure] = {k: metrics for k, metrics in kept if metrics is not None}
     done(len(results), len(parts))
     tasks = _tasks(parts, [k for k in range(len(parts)) if k not in results])
     methods = {parts[task[0]].method.name: parts[task[0]].method for task in tasks}
@@ -206,9 +209,7 @@ def run_parts(
                 if isinstance(measured, parallel.Failure):
                     raise explained(measured, options.jobs)
                 for k, result in zip(tasks[int(number)], measured, strict=True):
-                    if not isinstance(result, Failure):
-                        keep(parts[k], folder, result)
-                    results[k] = result
+                    results[k] = result if isinstance(result, Failure) else keep(parts[k], folder, result)
                     done(len(results), len(parts))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -275,11 +276,7 @@ class Perturbed:
         self._difference = PERTURBATION / (self.params or NOMINAL).torque_limit
 
     def predict(
-        self,
-        observation: Singles,
-        state: tuple[Any] | None = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Any, tuple[Any]]:
         """Torques over their limit, shape (n, 1); the first in double precision, which holds the difference."""
         own = None if state is None else state[0]

@@ -31,8 +31,7 @@ ActionTimes = tuple[float, float]
 PERIOD_US = 1e6 * CONTROL_PERIOD
 _LATE = f": a 99th percentile beyond the period of {PERIOD_US:.0f} µs"
 
-_SEED, _ARMS = PROTOCOL_CHECK
-_STEPS = 600
+_SEED, _ARMS, _STEPS = *PROTOCOL_CHECK, EPISODE_STEPS
 _CLOSE = 1e-5  # of the torque limit: what a batch's size may change in a network's last digits
 
 

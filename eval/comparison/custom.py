@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,6 +20,12 @@ TIME_LIMIT, LONGEST = 3600.0, 7 * 86_400
 run one after the other in real time, and a quarter more."""
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
+PARTS, RESULTS = "parts", "results.json"
+PICTURES = ("answer.png", "intervals.png", "residual.png", "tip_error.png", "torque.png")
+WRITTEN = (RESULTS, "episodes.csv", "page.md", "report.html", *PICTURES)
+"""Files that a comparison writes into the folder of its results, beside the parts that it keeps in a folder of it."""
+_OTHERS = ".git .hg .svn .venv* .tox .nox __pycache__ .*cache .ipynb_checkpoints .idea .vscode .DS_Store .*.sw? .#*"
+"""Names of what is beside a controller and no part of it: version control, environments, caches, editors' files."""
 
 
 def absolute(spec: str) -> str:
@@ -115,7 +122,7 @@ def _home_of_module(spec: str, package: str, *inside: str) -> Path:
 
 
 def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
-    """All files of a controller's folder in their order, but for hidden files, `__pycache__` and the results' folder.
+    """All files of a controller's folder in their order, but for `_OTHERS` and results of comparisons.
 
     None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read.
     """
@@ -124,8 +131,10 @@ def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
     entries, size = 0, 0
     with suppress(OSError):
         for root, folders, names in os.walk(folder, onerror=_raise, followlinks=True):
-            folders[:] = sorted(name for name in folders if _is_own(name) and Path(root, name).resolve() != skipped)
-            files = [path for name in sorted(names) if _is_own(name) and (path := Path(root, name)).is_file()]
+            here = Path(root).resolve()
+            folders[:] = sorted(name for name in folders if _is_own(here / name, skipped))
+            names = sorted(name for name in names if _is_own(here / name, skipped))
+            files = [path for name in names if (path := Path(root, name)).is_file()]
             entries += len(folders) + len(files)
             size += sum(path.stat().st_size for path in files)
             if entries > MOST_FILES or size > MOST_BYTES:
@@ -146,8 +155,12 @@ def identity(folder: Path, results: Path | None = None) -> str | None:
     return None
 
 
-def _is_own(name: str) -> bool:
-    return not name.startswith(".") and name != "__pycache__"
+def _is_own(path: Path, results: Path | None) -> bool:
+    if path.is_dir() and (path.resolve() == results or ((path / PARTS).is_dir() and (path / RESULTS).is_file())):
+        return False
+    kept = results is not None and path.parent == results / PARTS and path.suffix == ".safetensors"
+    written = path.parent == results and path.name in WRITTEN
+    return not (kept or written or any(fnmatch(path.name, pattern) for pattern in _OTHERS.split()))
 
 
 def _raise(error: OSError) -> None:

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from agents.policy.bundle import POLICIES, POLICY_FILE, are_alike, load_controller, read_bundle, read_spec
 from agents.policy.description import BundleSpec
 from agents.residual.controller import behind_guard
-from baselines import CONTROLLERS
+from baselines import CONTROLLERS, DOMINATED
 from baselines.gains import read_file
 from baselines.tools.command import require_known
 from baselines.yardsticks.privileged import PrivilegedController
@@ -23,7 +23,6 @@ from beltarm_env.rollout import Controller
 from eval.comparison import custom
 from eval.comparison.carrying import Carried, carry
 
-_Read = tuple[Path, BundleSpec, dict[str, Any]]  # folder of a policy, and what is in it
 Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
 PRIMARY = ("student", "adaptive")
@@ -50,6 +49,7 @@ class Method:
     base: str | None = None  # of a learned method: the controller that it corrects
     guarded: bool = False  # whether the guard is between its controllers and the motor
     time_limit: float = custom.TIME_LIMIT  # of an added one, for a batch of episodes [s]
+    results: Path | None = None  # of an added one: folder of results, which is no part of it
 
     @property
     def sensors(self) -> Sensors:
@@ -95,7 +95,7 @@ class Method:
         if self.kind != "added" or not self.sources[0].rpartition(":")[0].endswith(".py"):
             return {}
         folder = custom.home(self.sources[0])
-        files = custom.files_of(folder)
+        files = custom.files_of(folder, self.results)
         if files is None:
             raise ValueError(f"{folder} is too large to be sent to other machines: keep {self.name} in a smaller one")
         return {self.sources[0]: carry(folder, files)}
@@ -114,8 +114,17 @@ class Method:
 
     def with_guard(self) -> Method:
         """Make the same method with the guard between its controllers and the motor; for classical and learned ones."""
-        identity = self.identity and _hash([self.identity, "guard", _all_gains()])  # the servo's among them
-        return replace(self, name=f"{self.name}+guard", identity=identity, guarded=True)
+        return replace(self, name=f"{self.name}+guard", identity=_guarded(self.identity), guarded=True)
+
+    def changed(self) -> bool:
+        """Whether policies or a user's files are no longer those of its identity, if that is known."""
+        if self.identity is None or self.kind not in ("learned", "added"):
+            return False
+        try:
+            now = _identity(self.kind, self.sources, self.results)
+        except (OSError, ValueError):  # gone, or half written
+            return True
+        return (_guarded(now) if self.guarded else now) != self.identity
 
 
 def classical_methods() -> list[Method]:
@@ -143,6 +152,10 @@ def _hash(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
+def _guarded(identity: str | None) -> str | None:
+    return identity and _hash([identity, "guard", _all_gains()])  # the servo's among them
+
+
 def privileged_method() -> Method:
     """Preview LQG with true constants and true state: the oracle."""
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), _hash(_all_gains()))  # it has gains of `adaptive`
@@ -155,11 +168,18 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
         ValueError: If there is no such file or package, or no such class.
     """
     spec = custom.absolute(spec)
-    home, (where, _, name) = custom.home(spec), spec.rpartition(":")
+    name, identity = spec.rpartition(":")[2], _identity("added", (spec,), results)
+    return Method(name, "added", (spec,), identity, time_limit=time_limit, results=results)
+
+
+def _identity(kind: Kind, sources: Sequence[str], results: Path | None = None) -> str | None:
+    """Identity of a learned or an added method, by the files that are there now."""
+    if kind == "learned":
+        return _hash([[read_spec(folder)[1]["sha256"] for folder in sources], _all_gains()])
+    home, where = custom.home(sources[0]), sources[0].rpartition(":")[0]
     inside = Path(where).resolve().relative_to(home).as_posix() if where.endswith(".py") else where
     own = custom.identity(home, results)
-    identity = own and _hash([own, inside, _all_gains()])
-    return Method(name, "added", (spec,), identity, time_limit=time_limit)
+    return own and _hash([own, inside, _all_gains()])
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
@@ -172,16 +192,16 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
         ValueError: If a policy is twice in a method, needs other sensors than the encoder, or is an archive of
             Stable-Baselines3.
     """
-    grouped: dict[str, list[_Read]] = {}
-    for policy in policies:
-        *given, path = str(policy).split("=", 1)
+    grouped: dict[str, list[tuple[Path, BundleSpec]]] = {}
+    for policy in map(str, policies):
+        *given, path = [policy] if Path(policy).is_dir() else policy.split("=", 1)  # a path may have a "=", too
         folder = Path(path)
         if folder.suffix == ".zip":
             raise ValueError(
                 f"{folder} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
                 "controller, and give that with --add (docs/guide/faq.md, 'A controller or policy of mine')"
             )
-        spec, content = read_spec(folder)
+        spec, _ = read_spec(folder)
         if spec.sensors != "encoder":
             raise ValueError(f"{folder} needs sensors={spec.sensors!r}; the comparison gives methods the encoder alone")
         usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
@@ -193,17 +213,17 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
             raise ValueError(
                 f"{folder} is two seeds of {name}: give each policy once, and not those that take part anyway"
             )
-        members.append((folder.resolve(), spec, content))
+        members.append((folder.resolve(), spec))
     return [_learned(name, members) for name, members in grouped.items()]
 
 
-def _learned(name: str, members: list[_Read]) -> Method:
-    if len({folder.is_relative_to(POLICIES) for folder, *_ in members}) > 1:
+def _learned(name: str, members: list[tuple[Path, BundleSpec]]) -> Method:
+    if len({folder.is_relative_to(POLICIES) for folder, _ in members}) > 1:
         raise ValueError(f"{name!r} is the name of a shipped method: give your policy another, as NAME=FOLDER")
-    bases = {spec.base for _, spec, _ in members}
+    bases = {spec.base for _, spec in members}
     if len(bases) > 1:
         raise ValueError(f"the policies of {name} correct different controllers: {', '.join(sorted(bases))}")
-    runs = [(spec.provenance.get("run", {}), spec.residual.hold) for _, spec, _ in members]
+    runs = [(spec.provenance.get("run", {}), spec.residual.hold) for _, spec in members]
     base = bases.pop()
     base_steps = _tuning_of(read_file().get(base or "", {})).get("simulator_steps", [])
     training = {
@@ -211,8 +231,8 @@ def _learned(name: str, members: list[_Read]) -> Method:
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
         **({"base_steps": base_steps} if base_steps else {}),
     }
-    identity = _hash([[content["sha256"] for *_, content in members], _all_gains()])
-    return Method(name, "learned", tuple(str(folder) for folder, *_ in members), identity, training, base)
+    folders = tuple(str(folder) for folder, _ in members)
+    return Method(name, "learned", folders, _identity("learned", folders), training, base)
 
 
 def shipped_policies(seeds: int | None = None, method: str = "*") -> list[Path]:
@@ -232,6 +252,49 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
     """SHA-256 of the policies of some methods."""
     folders = [Path(source) for method in methods if method.kind == "learned" for source in method.sources]
     return [read_spec(folder)[1]["sha256"] for folder in folders]
+
+
+def project_names() -> list[str]:
+    """Names of the project's own methods."""
+    return [*CONTROLLERS, PRIVILEGED, *dict.fromkeys(path.parent.name for path in shipped_policies())]
+
+
+class OwnMethods(NamedTuple):
+    """Methods of a user's own."""
+
+    policies: Sequence[Path | str] = ()  # see `learned_methods`
+    added: Sequence[str] = ()  # controllers, see `added_method`
+    results: Path | None = None  # folder of results, which is no part of a controller
+    time_limit: float = custom.TIME_LIMIT  # of such a controller [s]
+
+
+NO_METHODS = OwnMethods()
+
+
+def choose_methods(
+    names: Sequence[str], own: OwnMethods = NO_METHODS, *, guard: bool = False, seeds: int | None = None
+) -> list[Method]:
+    """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
+
+    See `shipped_policies` for `seeds`. With `guard` each classical and learned method also runs with the guard.
+
+    Raises:
+        ValueError: If a name is unknown or given twice, or there is no such file or package.
+    """
+    known = [*classical_methods(), *learned_methods([*shipped_policies(seeds), *own.policies])]
+    known += [added_method(spec, own.results, own.time_limit) for spec in own.added] + [privileged_method()]
+    all_names = [method.name for method in known]
+    if twice := [name for name in all_names if all_names.count(name) > 1]:
+        how = "of a policy by NAME=FOLDER, of a controller by renaming its class"
+        raise ValueError(f"two methods are called {twice[0]!r}: give yours another name, {how}")
+    wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
+    learned = {method.name for method in learned_methods(own.policies)}
+    methods = [method for method in known if method.name in {*wanted, *learned} or method.kind == "added"]
+    if names and [method.name for method in methods] == [PRIVILEGED]:
+        raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
+    with_guard = ("classical", "learned") if guard else ()
+    pairs = ([method, method.with_guard()] if method.kind in with_guard else [method] for method in methods)
+    return [method for pair in pairs for method in pair]
 
 
 def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:

@@ -26,8 +26,8 @@ MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
 """Module and functions that measure a comparison, for the digest of the code."""
 PAIRED_METRICS = ("cost", "still_s", "tip_rms_mm", "residual_pp_mm")
 MOSTLY = 0.95
-"""Share of its moves that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
-arrives on easy arms alone looks better than it is."""
+"""Share of its moves that a method has to arrive in, to be marked in anything but the cost: the average of one that
+arrives on easy arms alone, or whose arms leave while their error is small, looks better than it is."""
 
 Against = Literal["best classical", "base"]
 """Other method of a pair: the classical one of the lowest cost, or the one that a learned method corrects."""
@@ -35,7 +35,7 @@ Mark = Literal["best", "tie"]
 """Of a metric on a split: the lowest of all ranked methods, or not shown to differ from it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MethodOutcome:
     """Outcome of one method on one split."""
 
@@ -136,12 +136,15 @@ class Comparison:
     scenario_set: SetLabel  # of the splits
     provenance: dict[str, Any]
 
-    def with_failures(self, failures: list[Failure]) -> Comparison:
-        """Copy with more failures, one per method and split."""
-        first: dict[tuple[str, str], Failure] = {}
-        for failure in [*self.failures, *failures]:
-            first.setdefault((failure.method, failure.split), failure)
-        return replace(self, failures=list(first.values()))
+    def with_failures(self, failures: list[Failure]) -> tuple[Comparison, list[MethodOutcome]]:
+        """Copy with more failures, one per method and split, and without a user's own outcomes there; and those."""
+        failed = {(failure.method, failure.split): failure for failure in reversed([*self.failures, *failures])}
+        lost = [o for o in self.outcomes if o.method.kind == "added" and (o.name, o.split) in failed]
+        every = list(reversed(failed.values()))
+        if not lost:
+            return replace(self, failures=every), []
+        left = [outcome for outcome in self.outcomes if outcome not in lost]
+        return make_comparison(left, every, self.scenario_set, self.provenance), lost
 
     def on(self, split: str) -> list[MethodOutcome]:
         """Outcomes on one split, in the order of the methods; those that are not ranked last."""
@@ -183,7 +186,16 @@ class Comparison:
 def make_comparison(
     outcomes: list[MethodOutcome], failures: list[Failure], scenario_set: SetLabel, provenance: dict[str, Any]
 ) -> Comparison:
-    """Compare the outcomes with one another."""
+    """Compare the outcomes with one another.
+
+    Raises:
+        ValueError: If there is none of a ranked method.
+    """
+    if not any(outcome.ranked for outcome in outcomes):
+        first = failures[0]
+        error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")
+        error.add_note(first.trace)
+        raise error
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
     best = _pairs(by_split, "best classical", lambda _, of_split: best_classical(of_split))
     base = _pairs(by_split, "base", lambda o, of_split: {b.name: b for b in of_split}.get(o.method.base or ""))
@@ -233,7 +245,7 @@ def _marks(outcomes: list[MethodOutcome], name: str) -> dict[str, Mark]:
     None where there are too few scenarios to say anything.
     """
     ranked = [outcome for outcome in outcomes if outcome.ranked]
-    shown = [outcome for outcome in ranked if name not in OF_ARRIVED or outcome.not_arrived <= 1 - MOSTLY]
+    shown = [outcome for outcome in ranked if name == "cost" or outcome.not_arrived <= 1 - MOSTLY]
     best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
     if best is None or best.metrics[name].shape[1] < statistics.LEAST_SCENARIOS:
         return {}
@@ -258,5 +270,6 @@ def provenance(command: str, methods: Sequence[Method], chosen: dict[str, splits
         "split_seeds": {name: split.seed for name, split in chosen.items()},
         "split_sha256": {name: split.digest for name, split in chosen.items()},
         "policies": policies_of(methods),
+        "added": {method.name: method.identity for method in methods if method.kind == "added" and method.identity},
         "packages": {name: version(name) for name in packages},
     }

@@ -61,6 +61,12 @@ def attempt(method: str, split: str, run: Callable[[], Result], where: str = "")
         return Failure(method, split, message[:_LONGEST_MESSAGE] + place(error), trace(error))
 
 
+def changed(method: Method, split: str = "") -> Failure | None:
+    """Return a failure if a method's files changed while it ran: nobody knows which of them its results are of."""
+    words = "its files changed while it ran: run again, and let nothing write into its folder meanwhile"
+    return Failure(method.name, split, words) if method.changed() else None
+
+
 def trace(error: BaseException) -> str:
     """The whole traceback of an exception."""
     return "".join(traceback.format_exception(error))

@@ -12,41 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines import CONTROLLERS, DOMINATED
 from baselines.engines.parallel import SideBySide
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from beltarm_env.metrics import METRICS
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
 from eval.comparison.check import ActionTimes, first_failures, times_of
-from eval.comparison.custom import TIME_LIMIT
-from eval.comparison.methods import (
-    PRIVILEGED,
-    Method,
-    added_method,
-    chosen,
-    classical_methods,
-    learned_methods,
-    privileged_method,
-    shipped_policies,
-)
+from eval.comparison.methods import NO_METHODS, Method, OwnMethods, choose_methods, project_names
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison, provenance
-from eval.comparison.rollouts import Failure
+from eval.comparison.rollouts import Failure, changed
 from eval.comparison.schema import read_results, to_json
 from eval.comparison.sets import ScenarioSet, require_same_physics, set_of
 from eval.comparison.splits import QUICK_SEEDS, main_split
-
-
-class OwnMethods(NamedTuple):
-    """Methods of a user's own."""
-
-    policies: Sequence[Path | str] = ()  # see `learned_methods`
-    added: Sequence[str] = ()  # controllers, see `added_method`
-    results: Path | None = None  # what may hold the names of controllers that were added before
-    time_limit: float = TIME_LIMIT  # of such a controller [s]
-
-
-NO_METHODS = OwnMethods()
 
 
 class Run(NamedTuple):
@@ -56,32 +33,6 @@ class Run(NamedTuple):
     options: SideBySide
     fresh: bool = False  # whether everything is run again
     done: Callable[[int, int], object] = lambda *_: None
-
-
-def choose_methods(
-    names: Sequence[str], own: OwnMethods = NO_METHODS, *, guard: bool = False, seeds: int | None = None
-) -> list[Method]:
-    """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
-
-    See `shipped_policies` for `seeds`. With `guard` each classical and learned method also runs with the guard.
-
-    Raises:
-        ValueError: If a name is unknown or given twice, or there is no such file or package.
-    """
-    known = [*classical_methods(), *learned_methods([*shipped_policies(seeds), *own.policies])]
-    known += [added_method(spec, own.results, own.time_limit) for spec in own.added] + [privileged_method()]
-    all_names = [method.name for method in known]
-    for name in all_names:
-        if all_names.count(name) > 1:
-            raise ValueError(f"two methods are called {name!r}: give yours another name (a policy: NAME=FOLDER)")
-    wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
-    learned = {method.name for method in learned_methods(own.policies)}
-    methods = [method for method in known if method.name in {*wanted, *learned} or method.kind == "added"]
-    if names and [method.name for method in methods] == [PRIVILEGED]:
-        raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
-    with_guard = ("classical", "learned") if guard else ()
-    pairs = ([method, method.with_guard()] if method.kind in with_guard else [method] for method in methods)
-    return [method for pair in pairs for method in pair]
 
 
 def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, run: Run) -> Comparison:
@@ -116,7 +67,7 @@ def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, ru
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
     # Only now, when processes have compiled kernels side by side.
     times = times_of(method for method in methods if method.name not in failed) | failed
-
+    times |= {method.name: failure for method in methods if (failure := changed(method))}
     measured, failures = list[tuple[Method, str, Metrics, ActionTimes]](), list[Failure]()
     for split, method in product(scenarios.splits, methods):
         early = times[method.name]
@@ -125,11 +76,6 @@ def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, ru
             failures.append(result)
         elif not isinstance(early, Failure):
             measured.append((method, split, result, early))
-    if not any(method.kind != "privileged" for method, *_ in measured):
-        first = failures[0]
-        error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")
-        error.add_note(first.trace)
-        raise error
     estimates = estimated([metrics for _, _, metrics, _ in measured])
     outcomes = [
         MethodOutcome(method, split, metrics, of_metrics, action_times, len(scenarios.splits[split].tables))
@@ -141,22 +87,16 @@ def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, ru
 
 def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioSet, episodes: int) -> None:
     """Check that a results.json, if there is one, has nothing that this run's results would lose."""
-    if not path.exists():
-        return
-    rows, here = read_results(path, scenarios.label)["rows"], {method.name: len(method.sources) for method in methods}
-    more = sorted({row["method"] for row in rows} - here.keys())
-    fewer = {row["method"]: row["seeds"] for row in rows if row["seeds"] > here.get(row["method"], row["seeds"])}
-    more += [f"{count} policies of {name}" for name, count in fewer.items()]
-    more += sorted({row["split"] for row in rows} - {*scenarios.splits})
-    most = max((row["episodes"] for row in rows), default=0)
-    more += [f"{most} scenarios per split"] if most > episodes else []
-    there = {split.name: len(split.tables) for split in scenarios.splits.values()}
-    longer = max((row["moves"] for row in rows if row["moves"] > there.get(row["split"], row["moves"])), default=0)
-    more += [f"shifts of {longer} moves"] if longer else []
+    rows = read_results(path, scenarios.label)["rows"] if path.exists() else []
+    seeds = {method.name: len(method.sources) for method in methods}
+    moves = {split.name: len(split.tables) for split in scenarios.splits.values()}
+    more = [*sorted({r["method"] for r in rows} - seeds.keys()), *sorted({r["split"] for r in rows} - moves.keys())]
+    more += [f"{r['seeds']} policies of {r['method']}" for r in rows if r["seeds"] > seeds.get(r["method"], inf)]
+    more += [f"{r['episodes']} scenarios per split" for r in rows if r["episodes"] > episodes]
+    more += [f"shifts of {r['moves']} moves" for r in rows if r["moves"] > moves.get(r["split"], inf)]
     if more:
-        raise ValueError(
-            f"{path} has more ({', '.join(more)}), which would be lost: give another --out, or remove that file"
-        )
+        lost = ", ".join(dict.fromkeys(more))
+        raise ValueError(f"{path} has more ({lost}), which would be lost: give another --out, or remove that file")
 
 
 def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
@@ -233,9 +173,8 @@ def _claimed_methods(claimed: dict[str, Any], path: Path, own: OwnMethods) -> li
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
     command = shlex.split(claimed["provenance"]["command"])
     words = list(pairwise(part for word in command for part in (word.split("=", 1) if word[:2] == "--" else [word])))
-    project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
     known = choose_methods(
-        [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
+        [name for name in project_names() if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
         own._replace(
             policies=own.policies or [word for option, word in words if option == "--policy"],
             added=own.added or [word for option, word in words if option == "--add"],
@@ -246,6 +185,9 @@ def _claimed_methods(claimed: dict[str, Any], path: Path, own: OwnMethods) -> li
     methods = {method.name: method for method in known}
     if missing := [name for name in names if name not in methods]:
         raise ValueError(f"{path} has results of {missing[0]}, which is not here: give it with --add or --policy")
+    for name, identity in claimed["provenance"].get("added", {}).items():
+        if name in methods and methods[name].identity != identity:
+            raise ValueError(f"{path} was measured with other files of {name}, or other gains of the project")
     return [methods[name] for name in names]
 
 

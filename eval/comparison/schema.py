@@ -95,6 +95,16 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
+def require_no_loss(path: Path, comparison: Comparison) -> None:
+    """Check that a results.json, if there is one, has no row of what failed now; raises ValueError if it has one."""
+    rows = {(row["method"], row["split"]) for row in read_results(path)["rows"]} if path.exists() else set()
+    lost = rows - {(outcome.name, outcome.split) for outcome in comparison.outcomes}
+    for failure in comparison.failures:
+        if (failure.method, failure.split) in lost:
+            failed = f"{failure.method} failed on {failure.split} ({failure.message})"
+            raise ValueError(f"{failed}, and {path} has its results, which would be lost: give another --out")
+
+
 def write_results(
     comparison: Comparison, folder: Path, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
@@ -151,7 +161,7 @@ SCHEMA = object_of(
     edition=INTEGER,  # of the comparison: results of two editions, versions or sets of scenarios are not compared
     version=INTEGER,  # of the scenarios
     scenario_set=object_of(name=TEXT, sha256=TEXT),
-    provenance=object_of(**_PROVENANCE, seconds=NUMBER, pairs_kept_before=INTEGER),
+    provenance=object_of(("added",), **_PROVENANCE, seconds=NUMBER, pairs_kept_before=INTEGER, added=mapping_of(TEXT)),
     verdict=list_of(TEXT),  # sentences, made from these numbers
     primary=list_of(_PRIMARY),
     rows=list_of(_ROW),

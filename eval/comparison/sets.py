@@ -71,10 +71,8 @@ class SetLabel(NamedTuple):
         """Sentences about the worth of its numbers where methods take part that the protocol does not know."""
         if self.name != TEST_NAME or not own:
             return self.note
-        return (
-            f"{self.note} This does not hold for {', '.join(own)}, which the protocol does not know: choose on "
-            "--scenarios development, and come here once."
-        )
+        unknown = f"This does not hold for {', '.join(own)}, which the protocol does not know"
+        return f"{self.note} {unknown}: choose on --scenarios development, and come here once."
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,9 +186,7 @@ class _Probe:
 
     _ANGLE, _SPEED, _TIME = index("motor_angle_error"), index("motor_speed_error"), index("elapsed_time")
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> Any:
+    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
         """Torque over its limit; see `Controller`."""
         wave = 0.2 * np.sin(20 * observation[:, self._TIME])
         action = 0.1 * observation[:, self._ANGLE] + 0.05 * observation[:, self._SPEED] + wave
@@ -214,17 +210,10 @@ def motions(splits: Sequence[Split]) -> list[list[list[float]]]:
 
 def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
     """Content of the file of the test set, with the protocol's commit."""
-    splits = list(scenarios.splits.values())
-    entries = {
-        split.name: {
-            "description": SPLITS[split.name].description,
-            "seed": split.seed,
-            "count": len(split.seeds),
-            "motions": moved,
-            "sha256": split.digest,
-        }
-        for split, moved in zip(splits, motions(splits), strict=True)
-    }
+    splits, entries = list(scenarios.splits.values()), dict[str, Any]()
+    for split, moved in zip(splits, motions(splits), strict=True):
+        about = {"description": SPLITS[split.name].description, "seed": split.seed, "count": len(split.seeds)}
+        entries[split.name] = {**about, "motions": moved, "sha256": split.digest}
     origin = {"command": "python eval/scenarios.py --freeze-test", "protocol": protocol}
     content = {"format": _FORMAT, "edition": EDITION, "version": VERSION, **origin, "splits": entries}
     return {**content, "sha256": digest_of(content)}

@@ -66,59 +66,41 @@ def _beyond(low: float, high: float, *names: str) -> dict[str, tuple[float, floa
     return {name: (low * TRAIN_RANGES[name][1], high * TRAIN_RANGES[name][1]) for name in names}
 
 
-_OF_DRIVE = (
-    "torque_ripple",
-    "static_friction_excess",
-    "kinematic_error",
-    "current_loop_time_constant",
-    "command_latency",
-)
+def _shifts(description: str, beyond: Ranges | None = None, **more: Any) -> Definition:
+    """Define shifts with some ranges beyond those of training."""
+    return Definition(description, {**SHIFT_RANGES, **(beyond or {})}, moves=MOVES, **more)
+
+
+_DRIVE = ("torque_ripple", "static_friction_excess", "kinematic_error", "current_loop_time_constant", "command_latency")
 SPLITS = {
     "nominal": Definition("the nominal arm with an ideal drive, one move from rest", {}),
     "randomized": Definition(
         "arms and drives from the training ranges, one move of an arm that nobody has met before",
         {**TRAIN_RANGES, **PRESLIDING},
     ),
-    "shift": Definition(
-        "working shifts: arms and drives from the training ranges, a new part in every other move",
-        SHIFT_RANGES,
-        moves=MOVES,
+    "shift": _shifts("working shifts: arms and drives from the training ranges, a new part in every other move"),
+    "payload": _shifts("shifts with heavier parts, 0.5 to 0.8 kg", {"payload_mass": (0.5, 0.8)}),
+    "stiffness": _shifts(
+        "shifts with softer belts, 0.5 to 0.8 of the nominal stiffness", _shifted(belt_stiffness=(0.5, 0.8))
     ),
-    "payload": Definition(
-        "shifts with heavier parts, 0.5 to 0.8 kg", {**SHIFT_RANGES, "payload_mass": (0.5, 0.8)}, moves=MOVES
-    ),
-    "stiffness": Definition(
-        "shifts with softer belts, 0.5 to 0.8 of the nominal stiffness",
-        {**SHIFT_RANGES, **_shifted(belt_stiffness=(0.5, 0.8))},
-        moves=MOVES,
-    ),
-    "friction": Definition(
+    "friction": _shifts(
         "shifts with more Coulomb and viscous friction, 1.3 to 1.8 times the nominal",
-        {**SHIFT_RANGES, **_shifted(coulomb_friction=(1.3, 1.8), motor_viscous_friction=(1.3, 1.8))},
-        moves=MOVES,
+        _shifted(coulomb_friction=(1.3, 1.8), motor_viscous_friction=(1.3, 1.8)),
     ),
-    "drive": Definition(
+    "drive": _shifts(
         "shifts with worse drives: ripple, breakaway, kinematic error and lag 1.3 to 1.8 times the most in training",
-        {**SHIFT_RANGES, **_beyond(1.3, 1.8, *_OF_DRIVE)},
-        moves=MOVES,
+        _beyond(1.3, 1.8, *_DRIVE),
     ),
-    "presliding": Definition(
-        "shifts with motors that give by 10 to 20 mrad before they slip",
-        {**SHIFT_RANGES, "presliding_deflection": (0.010, 0.020)},
-        moves=MOVES,
+    "presliding": _shifts(
+        "shifts with motors that give by 10 to 20 mrad before they slip", {"presliding_deflection": (0.010, 0.020)}
     ),
-    "sensing": Definition(
+    "sensing": _shifts(
         "shifts with a coarse encoder, 1000 counts, read one to two samples late",
-        SHIFT_RANGES,
-        {"encoder_counts": 1000},
-        (1.0, 2.0),
-        MOVES,
+        settings={"encoder_counts": 1000},
+        delay=(1.0, 2.0),
     ),
-    "structural": Definition(
-        "shifts with the full two-link arm, whose equations no ranked method has",
-        SHIFT_RANGES,
-        {"model": "lagrangian"},
-        moves=MOVES,
+    "structural": _shifts(
+        "shifts with the full two-link arm, whose equations no ranked method has", settings={"model": "lagrangian"}
     ),
 }
 """By name. A new one comes last: its place says which seeds it has."""
@@ -229,28 +211,20 @@ def draw(name: str, of: str, seeds: SeedRange) -> Split:
 
 def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
     """Draw scenarios of a split by their seeds, one each."""
-    definition = SPLITS[name]
-    settings, count = dict(definition.settings), len(seeds)
-    if definition.moves > 1:
-        settings |= {"moves": definition.moves, "randomization": dict(definition.ranges)}
-    batch = ArmBatch(
-        count,
-        sensors="encoder",
-        profile="trapezoid",
-        model="lumped",
-        randomization=definition.ranges,
-        encoder_counts=ENCODER_COUNTS,
-        delay=0,
-        moves=definition.moves,
-    )
+    about = SPLITS[name]
+    settings, count = dict(about.settings), len(seeds)
+    if about.moves > 1:
+        settings |= {"moves": about.moves, "randomization": dict(about.ranges)}
+    usual: dict[str, Any] = {"sensors": "encoder", "profile": "trapezoid", "model": "lumped", "delay": 0}
+    batch = ArmBatch(count, randomization=about.ranges, encoder_counts=ENCODER_COUNTS, moves=about.moves, **usual)
     streams, chosen = seeded(seeds), np.arange(count)
     tables, moves = list[Floats](), list[Floats]()
-    for number in range(definition.moves):
+    for number in range(about.moves):
         uniforms = drawn(streams, chosen, DRAWS)
         batch.next_moves(chosen, uniforms) if number else batch.reset(chosen, uniforms, None)
         tables.append(batch.table.copy())
         moves.append(batch.moves)
-    low, high = definition.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
+    low, high = about.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
     delays = low + (high - low) * np.array([np.random.default_rng((seed, 1)).random() for seed in seeds])
     return Split(name, of, np.array(seeds), settings, np.array(tables), np.array(moves), delays)
 

@@ -45,12 +45,10 @@ LOOK: dict[Any, Any] = {
     "svg.hashsalt": "beltarm",
     "font.sans-serif": ["DejaVu Sans"],  # each text of an SVG repeats the list
     "font.size": 10,
-    **dict.fromkeys(("text.color", "xtick.color", "ytick.color"), INK),
-    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "axes.titlecolor"), INK),
+    **dict.fromkeys("text.color xtick.color ytick.color axes.edgecolor axes.labelcolor axes.titlecolor".split(), INK),
     "grid.color": MUTED,
     "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "path.simplify_threshold": 0.2,
 }
 """Style of all figures of the page."""

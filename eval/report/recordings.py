@@ -180,7 +180,8 @@ def _as_measured(run: _Run) -> Recording:
     """Record a run among those of its batch; raises ValueError where it is not the one that was measured."""
     cost, again = run.costs[run.place], play(run.method, run.split, len(run.costs)).arm(run.place)
     if _cost(again) != cost:
-        raise ValueError(f"it cost {cost:.9g}, and costs {_cost(again):.9g} when run again: it is not drawn")
+        why = "it is not repeatable, or kept results are of other files or another machine (--fresh runs it anew)"
+        raise ValueError(f"it cost {cost:.9g}, and costs {_cost(again):.9g} when run again: {why}")
     return again
 
 

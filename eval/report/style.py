@@ -87,9 +87,8 @@ def name_rows(axis: Axes, names: Sequence[str]) -> None:
 
 def below(figure: Figure, axis: Axes, columns: int, **options: Any) -> None:
     """Put the legend of one panel below all of them."""
-    figure.legend(
-        *axis.get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=columns, **options
-    )
+    entries = axis.get_legend_handles_labels()
+    figure.legend(*entries, loc="outside lower center", frameon=False, ncols=columns, **options)
 
 
 def damping_lines(axis: Axes, *ratios: float) -> None:

@@ -17,7 +17,7 @@ from eval.comparison.splits import EDITION, SPLITS
 from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES
 from eval.report.table import Results, Table, difference_texts, estimate, to_markdown
 from eval.report.text import markdown_table
-from eval.report.verdict import PRACTICALLY_EQUAL, is_tie
+from eval.report.verdict import PRACTICALLY_EQUAL, called, is_tie
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}
 _ANSWERED = {
@@ -43,7 +43,6 @@ CONSTANTS: dict[str, Any] = {
 BLOCKS = ("answer", "results", "methods")
 """Parts of the README, each between markers of its name."""
 _METHODS: list[dict[str, Any]] = json.loads(Path(__file__).with_name("methods.json").read_text(encoding="utf-8"))
-_KINDS = {"learned": "learned method", "classical": "classical controller", "added": "added controller"}
 _ROWS = 5  # of the answer's table
 
 
@@ -109,12 +108,12 @@ def headline(results: Results) -> str:
     cost, unsure = tests["cost"], {"open": " (no difference is shown)"}
     pair = [results.records[cost[role], results.main] for role in ("challenger", "classical")]
     after = "a move of a working shift" if results.main == "shift" else f"a move on {results.main}"
-    best = ["best " if results.of_kind(row["kind"])[0] == row["method"] else "" for row in pair]
-    names = [f"the {word}{_KINDS[row['kind']]}, {row['method']}" for word, row in zip(best, pair, strict=True)]
+    names = [called(row["method"], row["kind"], results.of_kind(row["kind"])) for row in pair]
     times = [f"{1000 * estimate(row, 'still_s').iqm:.0f} ms with {name}" for name, row in zip(names, pair, strict=True)]
     still = ", and in ".join(times) + unsure.get(tests["still_s"]["result"], "")
-    change = f"the move costs {100 * abs(cost['relative']):.0f} % {'less' if cost['relative'] < 0 else 'more'}"
-    change += ", a practical tie" if is_tie("cost", cost["result"], cost["relative"]) else ""
+    tie = is_tie("cost", cost["result"], cost["relative"])
+    change = f"{100 * abs(cost['relative']):.{int(tie)}f} % {'less' if cost['relative'] < 0 else 'more'}"
+    change = f"the move costs {change}{', a practical tie' if tie else ''}"
     change = {"open": "no difference in the cost of the move is shown"}.get(cost["result"], change)
     return f"After {after} the arm's end is still in {still}, on average; {change}."
 

@@ -19,7 +19,7 @@ from rich.table import Table as TerminalTable
 
 from beltarm_env.metrics import NOT_ARRIVED, TORQUES, heading
 from eval.comparison.check import PERIOD_US
-from eval.comparison.methods import EFFORT, shipped_policies
+from eval.comparison.methods import EFFORT, project_names
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.sets import SetLabel
 from eval.comparison.splits import SPLITS, main_split
@@ -161,14 +161,8 @@ class Results:
     @property
     def note(self) -> str:
         """Sentences about what the numbers are worth."""
-        shipped = {folder.parent.name for folder in shipped_policies()}
-        own = [
-            row["method"]
-            for row in self.methods
-            if row["kind"] == "added"
-            or (row["kind"] == "learned" and row["method"].removesuffix("+guard") not in shipped)
-        ]
-        return self.label.note_with(own)
+        names = [row["method"] for row in self.methods]
+        return self.label.note_with([name for name in names if name.removesuffix("+guard") not in project_names()])
 
     def seed_note(self, methods: Iterable[str]) -> str:
         """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
@@ -185,10 +179,8 @@ class Results:
             "cost": partial(_metric, "cost"),
             "mean": lambda row: Cell(number(row.get("cost_mean", nan), 0), value=row.get("cost_mean")),
             "worst 5\u00a0%": lambda row: Cell(number(row.get("cost_worst", nan), 0), value=row.get("cost_worst")),
-            "fail": lambda row: _share(_failing(row)["fail"]),
-            "left": lambda row: _share(_failing(row)["left"]),
-            "not arrived": lambda row: _share(_failing(row)["not arrived"]),
         }
+        shows |= {word: lambda row, word=word: _share(_failing(row)[word]) for word in ("fail", "left", "not arrived")}
         shows |= {heading(name): partial(_metric, name) for name in PAIRED_METRICS if name != "cost"}
         about = f"{self.main}: {SPLITS[self.main].description}; {self.episodes} scenarios"
         return self._table(about, {title: (self.main, show) for title, show in shows.items()})

@@ -28,12 +28,9 @@ def numbers(name: str, value: Any, more: int = 0) -> tuple[str, str, str]:
 
     `more` digits beyond those of the metric are for differences.
     """
-    metric = METRICS[name]
-    factor = 100 if metric.share else 1
-    point, low, high = (
-        f"{factor * number:.{metric.digits + more}f}" if isfinite(number) else "–"
-        for number in (value.iqm, value.low, value.high)
-    )
+    metric, three = METRICS[name], (value.iqm, value.low, value.high)
+    factor, digits = 100 if metric.share else 1, metric.digits + more
+    point, low, high = (f"{factor * each:.{digits}f}" if isfinite(each) else "–" for each in three)
     return point, low, high
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import jinja2
 
-from baselines import CONTROLLERS
+from baselines import CONTROLLERS, DOMINATED
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
 from eval.comparison.methods import PRIVILEGED, is_shipped, shipped_policies
@@ -33,8 +33,18 @@ def is_tie(metric: str, result: Result, relative: float) -> bool:
     return metric == "cost" and result != "open" and abs(relative) < PRACTICALLY_EQUAL
 
 
+_KINDS = {"learned": "learned method", "classical": "classical controller", "added": "added controller"}
+
+
+def called(name: str, kind: str, ranking: Sequence[str]) -> str:
+    """Call a method by its kind, and the best by its rank in all of them, or in those alone that took part."""
+    usual = {"classical": {*CONTROLLERS} - {*DOMINATED}, "learned": {path.parent.name for path in shipped_policies()}}
+    best = "best " if ranking[0] == name else ""
+    here = " of this run" if best and usual.get(kind, set[str]()) - {*ranking} else ""
+    return f"the {best}{_KINDS[kind]}{here}, {name}"
+
+
 _WORDS: dict[str, Any] = {
-    "KINDS": {"learned": "learned method", "added": "added controller"},
     "practically_equal": PRACTICALLY_EQUAL,
     "is_tie": is_tie,
     "least": LEAST_SCENARIOS,
@@ -114,13 +124,13 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
         return _sentences(tests={}, episodes=episodes, **words), []
     tests = {metric: pairwise_tests(comparison, metric) for metric in PAIRED_METRICS}
     best = comparison.best_classical(home)
-    of_kind = [outcome for outcome in ranked if outcome.method.kind == pair[0].method.kind]
-    leads = min(of_kind, key=lambda outcome: outcome.cost) is pair[0], best is pair[1]
+    ordered = sorted(ranked, key=lambda outcome: outcome.cost)
+    titles = [called(m.name, m.method.kind, [o.name for o in ordered if o.method.kind == m.method.kind]) for m in pair]
     against = [each for each in comparison.pairs if (each.against, each.outcome.split) == ("best classical", home)]
     corrected = {each.outcome.name: each.metrics["cost"] for each in against}  # for all methods of this split
     of_own = _tested([(outcome, best) for outcome in own if best], "cost")
     of_own = [replace(test, middle=corrected[test.challenger.name]) for test in of_own]
-    sentences = _sentences(tests=tests, leads=leads, own=of_own, episodes=episodes, **words)
+    sentences = _sentences(tests=tests, titles=titles, own=of_own, episodes=episodes, **words)
     return sentences, [test.row() for of_metric in tests.values() for test in of_metric.values()]
 
 
@@ -133,12 +143,9 @@ def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, Pa
     pair = comparison.primary_pair()
     if pair is None:
         return {}
-    pairs = []
-    for split in comparison.splits():
-        by_name = {outcome.name: outcome for outcome in comparison.on(split)}
-        challenger, classical = (by_name.get(member.name) for member in pair)
-        if challenger and classical:
-            pairs.append((challenger, classical))
+    names = pair[0].name, pair[1].name
+    by_split = [{outcome.name: outcome for outcome in comparison.on(split)} for split in comparison.splits()]
+    pairs = [(of_split[names[0]], of_split[names[1]]) for of_split in by_split if {*names} <= of_split.keys()]
     tests = _tested(pairs, metric)
     undecided = [1.0] * (len(comparison.splits()) - len(tests))  # which belong to the family
     adjusted = holm([*(test.middle.p for test in tests), *undecided])

@@ -142,12 +142,42 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
     assert_same(run_parts([part()], tmp_path, ALONE), [measured])
 
 
-def test_outdated_parts_are_taken_away_and_none_of_unknown_identity_is_kept(tmp_path: Path):
+def test_outdated_parts_are_taken_away_and_none_of_unknown_or_changed_files_is_kept(tmp_path: Path):
     old, unknown = (replace(part(), method=replace(part().method, identity=name)) for name in ("before", None))
     kept = (part(episodes=5), replace(part(), split=fresh_set(0).splits["nominal"]), part())
     for each in (old, *kept, unknown):
         assert isinstance(run_parts([each], tmp_path, ALONE)[0], dict)
+    mine = shutil.copytree(POLICIES / "ppo" / "seed0", tmp_path / "mine")
+    changed = replace(part(), method=learned_methods([f"me={mine}"])[0])
+    shutil.copytree(POLICIES / "student" / "seed0", mine, dirs_exist_ok=True)
+    (refused,) = run_parts([changed], tmp_path, ALONE)
+    assert isinstance(refused, Failure) and "changed" in refused.message
     assert {path.name for path in (tmp_path / "parts").iterdir()} == {each.file(tmp_path).name for each in kept}
+
+
+OWN = """
+import os, pathlib, numpy as np
+from baselines.servo.paper import PaperController
+class Mine(PaperController):
+    def predict(self, observation, *rest, **named):
+        action, state = super().predict(observation, *rest, **named)
+        return SPOILT if len(observation) == 6 else action, state
+"""
+NOISE = "action * np.float32(np.random.default_rng().uniform(0.9, 1))"
+LOG = "[action, pathlib.Path(__file__).with_name('log').write_bytes(os.urandom(9))][0]"
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(("spoilt", "why"), [(NOISE, "when run again"), (LOG, "changed")])
+def test_a_controller_that_is_not_repeatable_has_no_row_and_erases_none(spoilt: str, why: str, tmp_path: Path):
+    words = "--add mine.py:Mine --methods paper --splits nominal --episodes 6 --jobs 1 --out".split()
+    for text, folder, status in (("action", "a", 0), (spoilt, "a", 2), (spoilt, "b", 1)):
+        (tmp_path / "mine.py").write_text(OWN.replace("SPOILT", text))
+        code, errors = stopped(compare.main, (*words, folder), tmp_path)
+        assert code == status and (why in errors) == bool(code)
+        rows = read_results(tmp_path / folder / "results.json")["rows"]
+        assert [row["method"] for row in rows] == ["paper", "Mine"][: 1 + (folder == "a")]
+    assert not [*(tmp_path / "b" / "parts").glob("*Mine*")]
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -193,7 +223,7 @@ def test_dominated_methods_run_where_they_are_named():
 
 def test_policies_are_grouped_by_method(tmp_path: Path):
     """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
-    folders: list[Path | str] = [tmp_path / name for name in "abc"]
+    folders: list[Path | str] = [tmp_path / name for name in ("a", "b", "c=d")]
     for folder, base in zip(folders, ("paper", "preview", "paper"), strict=True):
         spec = replace(SPEC, base=base, provenance={"run": {"steps": 5}})
         save_bundle(Path(folder), spec, new_weights(spec))
@@ -243,9 +273,15 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path, monkeypat
             assert ("without --fresh" in stopped(compare.main, wider, tmp_path)[1]) == bool(more)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
+def test_mistakes_are_one_line(tmp_path: Path):
+    shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
+    (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
+    unlike = {"edition": EDITION, "version": VERSION, "scenario_set": {"name": "development", "sha256": "0000"}}
+    contents = {"old": {"edition": EDITION, "version": VERSION + 1}, "first": {"version": 1}, "unlike": unlike}
+    for name, text in {**{name: json.dumps(content) for name, content in contents.items()}, "damaged": "{"}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "results.json").write_text(text)
+    for arguments, named in (
         (("--policy", "runs/model.zip"), "runs/model.zip"),
         (("--episodes", "2"), "--episodes"),
         (("--episodes", "501"), "--scenario-seed"),
@@ -256,7 +292,7 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path, monkeypat
         (("--splits", "frictoin"), "did you mean 'friction'?"),
         (("--methods", "privileged"), "--methods"),
         (("--add", "nowhere.py:Mine"), "nowhere.py"),
-        (("--add", "paper.py:paper"), "'paper'"),
+        (("--add", "paper.py:paper"), "its class"),
         (("--add", "paper.py:Wrong"), "'Wrong'"),
         (("--policy", "student=mine"), "'student'"),
         (("--policy", str(POLICIES / "ppo" / "seed0")), "two seeds of ppo"),
@@ -268,17 +304,8 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path, monkeypat
         (("--out", "first", "--methods", "paper"), "edition 1"),
         (("--out", "unlike", "--methods", "paper"), "'development'"),
         (("--out", "damaged", "--methods", "paper"), "damaged/results.json"),
-    ],
-)
-def test_mistakes_are_one_line(arguments: tuple[str, ...], named: str, tmp_path: Path):
-    shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
-    (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    unlike = {"edition": EDITION, "version": VERSION, "scenario_set": {"name": "development", "sha256": "0000"}}
-    contents = {"old": {"edition": EDITION, "version": VERSION + 1}, "first": {"version": 1}, "unlike": unlike}
-    for name, text in {**{name: json.dumps(content) for name, content in contents.items()}, "damaged": "{"}.items():
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "results.json").write_text(text)
-    assert named in mistake(compare.main, arguments, tmp_path)
+    ):
+        assert named in mistake(compare.main, arguments, tmp_path)
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -304,5 +331,5 @@ def test_a_folder_is_carried_to_machines_that_lack_it(tmp_path: Path):
     carried = carry(tmp_path / "own", [tmp_path / "own/file"])
     assert carried.here() == tmp_path / "own"
     (tmp_path / "own/file").write_bytes(b"another")
-    assert (carried.here() / "file").read_bytes() == b"content" and carried.here() == carried.here()
-    assert carried.here() != tmp_path / "own"
+    assert (carried.here() / "file").read_bytes() == b"content"
+    assert carried.here() == carried.here() != tmp_path / "own"

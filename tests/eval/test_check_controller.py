@@ -94,6 +94,7 @@ CASES: dict[str, tuple[type, str, str]] = {
     "raises": (spoilt(lambda *_: {}["no gain"]), "drives", "KeyError: 'no gain'"),
     "input": (spoilt(lambda _, a, o: (a, o.fill(0))[0]), "drives", "changes the observation .* in sample 0"),
     "random": (spoilt(lambda _, a, o: a + np.float32(RANDOM.normal(0, 1e-3))), "same observations", "from sample 0 on"),
+    "late": (spoilt(lambda c, a, o: a + np.float32((c.calls > 1100) * RANDOM.random())), "same obs", "sample 1100 on"),
     "mixes": (spoilt(lambda _, a, o: a + np.float32(0.01) * a.mean()), "as if alone", "torques differ from sample"),
     "leaks": (Leaks, "without memory of the last", "torques differ from sample 0 on"),
     "leaves": (LeakyRunaway, "without memory of the last", "torques differ from sample"),
@@ -144,9 +145,8 @@ def test_a_failure_names_its_place_and_shows_its_traceback(tmp_path: Path, capsy
     assert capsys.readouterr().out.startswith("FAILED  runs to")
 
 
-@pytest.mark.parametrize(
-    ("spec", "named"),
-    [
+def test_controllers_that_cannot_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for spec, named in (
         ("nothing", "'nothing'"),
         (f"{ROOT / 'README.md'}:X", "README.md"),
         ("nowhere.py:Class", "nowhere.py"),
@@ -155,21 +155,19 @@ def test_a_failure_names_its_place_and_shows_its_traceback(tmp_path: Path, capsy
         ("empty.py:Class", "'Class'; its classes: Needs, Other"),
         ("empty.py:Other", "predict"),
         ("empty.py:Needs", "TypeError"),
-    ],
-)
-def test_controllers_that_cannot_be_loaded(spec: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(check, "run_isolated", lambda call, *_: call())  # a process for each takes seconds
-    (tmp_path / "broken.py").write_text("class\n")
-    (tmp_path / "empty.py").write_text("class Other: pass\nclass Needs:\n    def __init__(self, gain): pass\n")
-    assert named in mistake(main, (spec,), tmp_path)
+    ):
+        monkeypatch.setattr(check, "run_isolated", lambda call, *_: call())  # a process for each takes seconds
+        (tmp_path / "broken.py").write_text("class\n")
+        (tmp_path / "empty.py").write_text("class Other: pass\nclass Needs:\n    def __init__(self, gain): pass\n")
+        assert named in mistake(main, (spec,), tmp_path)
 
 
 def test_identity_changes_with_every_file_of_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Also with a renamed file, and with one below a linked folder. That of a large or unreadable one is unknown."""
     own, linked = tmp_path / "own", tmp_path / "elsewhere"
-    for folder in (own / "parts", linked):
+    for folder in (own / "parts", own / "before" / "parts", linked):
         folder.mkdir(parents=True)
-    for name in ("mine.py", "parts/gains.py", "weights.safetensors"):
+    for name in ("mine.py", "parts/gains.py", "weights.safetensors", "before/results.json"):
         (own / name).write_text(name)
     identities = [custom.identity(own, own / "out")]
 
@@ -178,14 +176,19 @@ def test_identity_changes_with_every_file_of_the_users_own(tmp_path: Path, monke
         identities.append(custom.identity(own, own / "out"))
         return identities[-1] not in identities[:-1]
 
-    for name in ("weights.safetensors", "parts/gains.py", "parts/table.csv"):
+    for name in ("weights.safetensors", "parts/gains.py", "parts/table.csv", ".gains.json"):
         assert changed(lambda name=name: (own / name).write_text("other"))
     assert changed(lambda: (own / "parts" / "gains.py").rename(own / "gains.py"))
     (own / "linked").symlink_to(linked)
     assert changed(lambda: (linked / "more.csv").write_text("2"))
-    for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/parts/a.npz"):
+    for name in (".git/a", ".venv3/a", ".a_cache/b", "__pycache__/a.pyc", "before/page.md", "out/page.md", "out/a/b"):
         (own / name).parent.mkdir(parents=True, exist_ok=True)
         assert not changed(lambda name=name: (own / name).write_text("new"))
+    own_is_out = [custom.identity(own, own)]
+    for name in ("results.json", "answer.png", "parts/kept.safetensors", "parts/table.csv"):
+        (own / name).write_text("new")
+        own_is_out.append(custom.identity(own, own))
+    assert len({*own_is_out[:4]}) == 1 and own_is_out[4] != own_is_out[3]
     for name in ("mine.py", "other.py"):
         (own / name).write_text("class Mine: pass")
     assert len({added_method(f"{own / name}:Mine").identity for name in ("mine.py", "other.py")}) == 2

@@ -21,7 +21,7 @@ from studies import draw_alone
 from agents.policy.bundle import POLICIES
 from beltarm_env.metrics import TORQUES
 from eval import compare
-from eval.comparison import provenance
+from eval.comparison import custom, provenance
 from eval.comparison.schema import SCHEMA, read_results
 from eval.comparison.sets import choose_set
 from eval.comparison.splits import EDITION, SPLITS, VERSION
@@ -60,9 +60,7 @@ def results(compared: tuple[Path, str]) -> dict[str, Any]:
 
 def test_everything_is_written_and_names_the_scenarios(compared: tuple[Path, str], results: dict[str, Any]):
     folder, output = compared
-    pictures = {"answer.png", "tip_error.png", "residual.png", "torque.png", "intervals.png"}
-    others = {"results.json", "episodes.csv", "page.md", "report.html", "parts"}
-    assert {path.name for path in folder.iterdir()} == others | pictures
+    assert {path.name for path in folder.iterdir()} == {*custom.WRITTEN, custom.PARTS}
     label = choose_set().label
     assert (results["edition"], results["version"]) == (EDITION, VERSION)
     assert results["scenario_set"] == label._asdict()
@@ -134,9 +132,8 @@ def scale(numbers: dict[str, Any], name: str, factor: float) -> None:
     numbers[name] *= factor
 
 
-@pytest.mark.parametrize(
-    ("change", "code", "named"),
-    [
+def test_the_first_claim_that_differs_is_named(claim: Path, tmp_path: Path):
+    for change, code, named in (
         (lambda row, _: scale(row["metrics"]["cost"], "iqm", 1.002), 0, "come out again"),
         (lambda row, _: scale(row["metrics"]["cost"], "iqm", 0.99), 1, "paper on nominal, cost:"),
         (lambda row, _: scale(row, "cost_mean", 0.99), 1, "paper on nominal, cost_mean:"),
@@ -149,31 +146,28 @@ def scale(numbers: dict[str, Any], name: str, factor: float) -> None:
         (lambda _, content: content["paired"][0]["metrics"]["cost"].update(iqm=-100.0), 1, "claimed -100"),
         (lambda _, content: content["paired"].clear(), 1, "claimed nan"),
         (lambda _, content: content.update(verdict=["Mine is better."]), 0, "its verdict"),
-    ],
-)
-def test_the_first_claim_that_differs_is_named(change: Any, code: int, named: str, claim: Path, tmp_path: Path):
-    content = read_results(claim / "results.json")
-    content["provenance"]["command"] = f"python eval/compare.py --add={claim.parent / 'mine.py'}:Mine"
-    change(content["rows"][0], content)
-    (tmp_path / "results.json").write_text(json.dumps(content))
-    status, output = verified(tmp_path)
-    assert status == code and named in output
+    ):
+        content = read_results(claim / "results.json")
+        content["provenance"]["command"] = f"python eval/compare.py --add={claim.parent / 'mine.py'}:Mine"
+        change(content["rows"][0], content)
+        (tmp_path / "results.json").write_text(json.dumps(content))
+        status, output = verified(tmp_path)
+        assert status == code and named in output
 
 
-@pytest.mark.parametrize(
-    ("part", "value", "named"),
-    [
+def test_claims_that_cannot_be_verified_are_refused(claim: Path, tmp_path: Path):
+    for part, value, named in (
         ("provenance", {"commit": "1234567-dirty"}, "1234567-dirty"),
         ("scenario_set", {"sha256": "0" * 64}, "other scenarios"),
         ("provenance", {"command": "python eval/compare.py"}, "--add"),
+        ("provenance", {"added": {"Mine": "0" * 64}}, "other files of Mine"),
         ("provenance", {"command": "python eval/compare.py --add none.py:Mine"}, "none.py"),
-    ],
-)
-def test_claims_that_cannot_be_verified_are_refused(part: str, value: Any, named: str, claim: Path, tmp_path: Path):
-    content = read_results(claim / "results.json")
-    content[part] |= value
-    (tmp_path / "results.json").write_text(json.dumps(content))
-    assert named in mistake(compare.main, ("--verify", str(tmp_path)), tmp_path)
+    ):
+        content = read_results(claim / "results.json")
+        content["provenance"]["command"] = f"python eval/compare.py --add={claim.parent / 'mine.py'}:Mine"
+        content[part] |= value
+        (tmp_path / "results.json").write_text(json.dumps(content))
+        assert named in mistake(compare.main, ("--verify", str(tmp_path)), tmp_path)
 
 
 def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -190,24 +184,21 @@ def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monke
     assert [len(method.sources) for method in measure.call_args.args[0]] == [1, 1, 3, 1]
 
 
-@pytest.mark.parametrize(
-    ("spoil", "place"),
-    [
+def test_a_spoilt_results_file_is_refused(results: dict[str, Any], tmp_path: Path):
+    for spoil, place in (
         (lambda r: r.pop("rows"), "rows"),
         (lambda r: r["rows"][1].update(kind="best"), r"rows\[1\]\.kind"),
         (lambda r: r["rows"][0]["metrics"]["cost"].update(low=float("nan")), r"rows\[0\].*low"),
         (lambda r: r["rows"][0]["metrics"].pop("tip_max_mm"), "tip_max_mm"),
         (lambda r: r.update(version="1"), "version"),
         (lambda r: r.update(paired={}), "paired"),
-    ],
-)
-def test_a_spoilt_results_file_is_refused(spoil: Any, place: str, results: dict[str, Any], tmp_path: Path):
-    Draft202012Validator.check_schema(SCHEMA)
-    content = json.loads(json.dumps(results))
-    spoil(content)
-    (tmp_path / "results.json").write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=place):
-        read_results(tmp_path / "results.json")
+    ):
+        Draft202012Validator.check_schema(SCHEMA)
+        content = json.loads(json.dumps(results))
+        spoil(content)
+        (tmp_path / "results.json").write_text(json.dumps(content))
+        with pytest.raises(ValueError, match=place):
+            read_results(tmp_path / "results.json")
 
 
 # The page in a browser

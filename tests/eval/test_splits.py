@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
@@ -205,9 +204,8 @@ def counted(content: dict[str, Any], count: object) -> dict[str, Any]:
     return content
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
+def test_damaged_files_are_refused(frozen: Path, tmp_path: Path):
+    for damage, message in (
         (lambda c: {**c, "format": "x"}, "no file of beltarm-scenarios"),
         (lambda c: rehashed(c, version=VERSION + 1), f"has version {VERSION + 1}"),
         (lambda c: [c], "no file of beltarm-scenarios"),
@@ -218,19 +216,17 @@ def counted(content: dict[str, Any], count: object) -> dict[str, Any]:
         (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
         (lambda c: rehashed(counted(c, 100_000 * "x")), "number of scenarios"),
         (lambda c: json.dumps(c)[:1000], "cannot be read"),
-    ],
-)
-def test_damaged_files_are_refused(damage: Callable[[Any], Any], message: str, frozen: Path, tmp_path: Path):
-    path, content = tmp_path / "scenarios.json", damage(json.loads(frozen.read_text()))
-    path.write_text(content if isinstance(content, str) else json.dumps(content))
-    tracemalloc.start()
-    try:
-        with pytest.raises(ValueError, match=message) as caught:
-            load(path)
-        assert tracemalloc.get_traced_memory()[1] < max(20 * path.stat().st_size, 1e6)
-    finally:
-        tracemalloc.stop()
-    assert "restore scenarios.json" in str(caught.value) and "\n" not in str(caught.value)
+    ):
+        path, content = tmp_path / "scenarios.json", damage(json.loads(frozen.read_text()))
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        tracemalloc.start()
+        try:
+            with pytest.raises(ValueError, match=message) as caught:
+                load(path)
+            assert tracemalloc.get_traced_memory()[1] < max(20 * path.stat().st_size, 1e6)
+        finally:
+            tracemalloc.stop()
+        assert "restore scenarios.json" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_changed_physics_is_noticed():

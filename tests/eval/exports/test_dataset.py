@@ -139,9 +139,8 @@ def test_an_episode_may_be_a_shift(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert episode.truncations[-1] and len(episode) == 2400 and 0 < info["move_cost"] < about["cost"]
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "words"),
-    [
+def test_bad_options(tmp_path: Path):
+    for option, value, words in (
         ("--id", "mixed", "'mixed'"),
         ("--id", "../mixed-v0", "'../mixed-v0'"),
         ("--episodes", "0", "got 0"),
@@ -149,12 +148,10 @@ def test_an_episode_may_be_a_shift(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ("--disturbed", "1.5", "1.5"),
         ("--controller", "papr", "paper"),
         ("--out", "/dev/null/data", "/dev/null/data"),
-    ],
-)
-def test_bad_options(option: str, value: str, words: str, tmp_path: Path):
-    line = mistake(export.main, (*SMALL, option, value), tmp_path)
-    assert words in line and option.strip("-") in line.replace("cannot write to", "out")
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    ):
+        line = mistake(export.main, (*SMALL, option, value), tmp_path)
+        assert words in line and option.strip("-") in line.replace("cannot write to", "out")
+        assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

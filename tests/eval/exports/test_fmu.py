@@ -216,9 +216,8 @@ def test_builds_that_differ_or_fail(compiler: tuple[str, ...], tmp_path: Path, m
     assert len(said) == 1 and "-freciprocal-math" in said[0]
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "said"),
-    [
+def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any]):
+    for name, value, said in (
         ("motor_inertia", 0.0, "1e+09"),
         ("payload_mass", -1.0, "at least 0"),
         ("arm_inertia", math.nan, "finite"),
@@ -226,13 +225,11 @@ def test_builds_that_differ_or_fail(compiler: tuple[str, ...], tmp_path: Path, m
         ("friction_drift", 0.6, "at most 0.5"),
         ("initial_joint_angle", 2.0, "1.821 rad"),
         ("kinematic_error", 0.01, "too fast"),
-    ],
-)
-def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any], name: str, value: float, said: str):
-    with running(unpacked) as slave:
-        with pytest.raises(Exception, match="ExitInitializationMode"):
-            slave.begin(ArmParams(), **{name: value})
-        assert name in slave.said[-1] and said in slave.said[-1]
+    ):
+        with running(unpacked) as slave:
+            with pytest.raises(Exception, match="ExitInitializationMode"):
+                slave.begin(ArmParams(), **{name: value})
+            assert name in slave.said[-1] and said in slave.said[-1]
 
 
 def test_calls_that_make_no_sense_are_refused(unpacked: tuple[Path, Any]):

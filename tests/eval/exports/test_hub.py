@@ -162,15 +162,12 @@ def test_refusals(own: Path, tmp_path: Path):
         assert {*tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize(
-    ("package", "extra", "options"), [("onnx", "onnx", ["--onnx"]), ("huggingface_hub.utils", "hub", [])]
-)
-def test_missing_packages_are_named(
-    package: str, extra: str, options: list[str], own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setitem(sys.modules, package, None)
-    assert f"[{extra}]" in refusal(str(own), *options, "--out", "out", folder=tmp_path)
-    assert not (tmp_path / "out").exists()
+def test_missing_packages_are_named(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for package, extra, options in (("onnx", "onnx", ["--onnx"]), ("huggingface_hub.utils", "hub", [])):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, package, None)
+            assert f"[{extra}]" in refusal(str(own), *options, "--out", "out", folder=tmp_path)
+        assert not (tmp_path / "out").exists()
 
 
 def example(*arguments: str, folder: Path) -> tuple[int, str]:
