@@ -85,7 +85,7 @@ def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
         for sign, usual, rare in ((1, "loses most to", "gains least on"), (-1, "gains most on", "comes nearest to")):
             split, scenario = _extreme({split: sign * values for split, values in losses.items()})
             title = usual if sign * losses[split][scenario] > 0 else rare
-            notable.append((f"where {name} {title} the best classical controller", split, scenario))
+            notable.append((f"where {name} {title} the best classical controller here", split, scenario))
     return notable
 
 
