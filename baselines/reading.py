@@ -140,7 +140,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     sound = _write_samples(np.ascontiguousarray(observations[:, :size]), params.torque_limit, seen)
     if not sound:
         raise ValueError(
-            "observations must be finite, elapsed_time within 0 and 1.8 s, and duration and ramp_time above 0 s, got "
+            "observations must be finite, elapsed_time within 0 and 1.8 s, and duration above ramp_time above 0, got "
             + _worst(observations)
         )
     extra = observations[:, _ENCODER_SIZE:size] * observation.scales(sensors)[_ENCODER_SIZE:]
@@ -167,7 +167,9 @@ def _worst(observations: Singles) -> str:
     """Name an entry of an observation that no sensor gives."""
     wrong, elapsed = ~np.isfinite(observations), observations[:, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
     wrong[:, _ELAPSED] |= ~((elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5))
-    wrong[:, [_DURATION, _RAMP]] |= ~(observations[:, [_DURATION, _RAMP]] > 0)
+    ramp = observations[:, _RAMP] * _SCALES[_RAMP]
+    wrong[:, _RAMP] |= ~(ramp > 0)
+    wrong[:, _DURATION] |= ~(observations[:, _DURATION] * _SCALES[_DURATION] > ramp)
     arm, entry = np.argwhere(wrong)[0]
     name = observation.ENTRIES["encoder"][entry].name if entry < _ENCODER_SIZE else f"entry {entry}"
     return f"{name} {observations[arm, entry]:g} for arm {arm}"
@@ -182,7 +184,8 @@ def _write_samples(observations: Singles, torque_limit: float, samples: Floats) 
         for k in range(observations.shape[1]):
             doubt += observations[i, k] - observations[i, k]  # 0 of what is finite
         elapsed = observations[i, _ELAPSED] * _SCALES[_ELAPSED] / CONTROL_PERIOD
-        moves = (observations[i, _DURATION] > 0) & (observations[i, _RAMP] > 0)
+        ramp = observations[i, _RAMP] * _SCALES[_RAMP]
+        moves = (ramp > 0) & (observations[i, _DURATION] * _SCALES[_DURATION] > ramp)
         bounded = (doubt == 0.0) & (elapsed > -0.5) & (elapsed < EPISODE_STEPS + 0.5) & moves
         sound = sound and bounded
         if bounded:

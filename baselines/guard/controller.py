@@ -93,9 +93,13 @@ class GuardedController:
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, GuardedMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+
+        With a state and without `episode_start` an arm of a new episode is taken for one whose encoder has jumped.
+        """
         require_memory(state, GuardedMemory)
-        begins, anew = (beginning(state, episode_start, observation, lasts) for lasts in (False, True))
+        begins = beginning(state, episode_start, observation)
+        anew = beginning(state, episode_start, observation, remembers=True)
         if state is None:
             state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), np.zeros((len(begins), GUARD_SIZE)))
         require_shape(state.guard, len(begins), GUARD_SIZE)

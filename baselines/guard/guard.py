@@ -137,8 +137,10 @@ def guarded_torque(design: GuardDesign, now: GuardInputs, begins: bool, anew: bo
     else:
         seen = watch_encoder(design, now.motor_angle, last, memory)
     if begins or anew:
+        passive = 0.0 if seen.believed else memory[PASSIVE]
         memory[ENCODER_SIZE:] = 0.0
         memory[LEARNED] = memory[SURPRISE] = 1.0
+        memory[PASSIVE] = passive
     of_residual = _residual_level(design, now.residual, memory)
     of_observer = _observer_level(design, now.surprise, memory)
     level = max(of_residual, of_observer)

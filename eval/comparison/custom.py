@@ -24,8 +24,10 @@ PARTS, RESULTS = "parts", "results.json"
 PICTURES = ("answer.png", "intervals.png", "residual.png", "tip_error.png", "torque.png")
 WRITTEN = (RESULTS, "episodes.csv", "page.md", "report.html", *PICTURES)
 """Files that a comparison writes into the folder of its results, beside the parts that it keeps in a folder of it."""
-_OTHERS = ".git .hg .svn .venv* .tox .nox __pycache__ .*cache .ipynb_checkpoints .idea .vscode .DS_Store .*.sw? .#*"
-"""Names of what is beside a controller and no part of it: version control, environments, caches, editors' files."""
+_OTHERS = (
+    ".git .hg .svn .venv* .tox .nox .conda .pixi .direnv __pycache__ .*cache .eggs .idea .vscode .*.sw? *~ .env* .ssh"
+)
+"""Names of what is no part of a controller beside it: version control, environments, caches, editors, secrets."""
 
 
 def absolute(spec: str) -> str:

@@ -112,6 +112,11 @@ class Method:
 
         return replace(self, sources=tuple(map(there, self.sources)))
 
+    @property
+    def own_files(self) -> str | None:
+        """SHA-256 of the files of a user's own controller, None if they are unknown, and of other methods."""
+        return custom.identity(custom.home(self.sources[0]), self.results) if self.kind == "added" else None
+
     def with_guard(self) -> Method:
         """Make the same method with the guard between its controllers and the motor; for classical and learned ones."""
         return replace(self, name=f"{self.name}+guard", identity=_guarded(self.identity), guarded=True)

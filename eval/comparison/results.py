@@ -137,9 +137,9 @@ class Comparison:
     provenance: dict[str, Any]
 
     def with_failures(self, failures: list[Failure]) -> tuple[Comparison, list[MethodOutcome]]:
-        """Copy with more failures, one per method and split, and without a user's own outcomes there; and those."""
+        """Copy with more failures, one per method and split, and without outcomes that do not repeat; and those."""
         failed = {(failure.method, failure.split): failure for failure in reversed([*self.failures, *failures])}
-        lost = [o for o in self.outcomes if o.method.kind == "added" and (o.name, o.split) in failed]
+        lost = [o for o in self.outcomes if (o.name, o.split) in {(f.method, f.split) for f in failures if f.varies}]
         every = list(reversed(failed.values()))
         if not lost:
             return replace(self, failures=every), []
@@ -270,6 +270,6 @@ def provenance(command: str, methods: Sequence[Method], chosen: dict[str, splits
         "split_seeds": {name: split.seed for name, split in chosen.items()},
         "split_sha256": {name: split.digest for name, split in chosen.items()},
         "policies": policies_of(methods),
-        "added": {method.name: method.identity for method in methods if method.kind == "added" and method.identity},
+        "added": {method.name: files for method in methods if (files := method.own_files)},
         "packages": {name: version(name) for name in packages},
     }

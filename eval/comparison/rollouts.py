@@ -37,6 +37,7 @@ class Failure:
     split: str
     message: str
     trace: str = ""  # the whole traceback
+    varies: bool = False  # whether a run costs something else each time
 
 
 def run_controller(method: Method, split: str, run: Callable[[], Result], where: str = "") -> Result | Failure:
@@ -104,9 +105,7 @@ def shipped_methods(names: Sequence[str] = ()) -> list[Method]:
 
 def shipped_controller(name: str) -> Controller:
     """Make a shipped controller; of a learned method that of its first training seed."""
-    if name in CONTROLLERS:
-        return CONTROLLERS[name]()
-    return load_controller(*shipped_policies(1, name))
+    return CONTROLLERS[name]() if name in CONTROLLERS else load_controller(*shipped_policies(1, name))
 
 
 class Recorder(Generic[Note]):

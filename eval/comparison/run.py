@@ -185,9 +185,9 @@ def _claimed_methods(claimed: dict[str, Any], path: Path, own: OwnMethods) -> li
     methods = {method.name: method for method in known}
     if missing := [name for name in names if name not in methods]:
         raise ValueError(f"{path} has results of {missing[0]}, which is not here: give it with --add or --policy")
-    for name, identity in claimed["provenance"].get("added", {}).items():
-        if name in methods and methods[name].identity != identity:
-            raise ValueError(f"{path} was measured with other files of {name}, or other gains of the project")
+    for name, files in claimed["provenance"].get("added", {}).items():
+        if name in methods and methods[name].own_files != files:
+            raise ValueError(f"{path} was measured with other files of {name}")
     return [methods[name] for name in names]
 
 

@@ -95,7 +95,7 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def require_no_loss(path: Path, comparison: Comparison) -> None:
+def require_rows_kept(path: Path, comparison: Comparison) -> None:
     """Check that a results.json, if there is one, has no row of what failed now; raises ValueError if it has one."""
     rows = {(row["method"], row["split"]) for row in read_results(path)["rows"]} if path.exists() else set()
     lost = rows - {(outcome.name, outcome.split) for outcome in comparison.outcomes}

@@ -1,8 +1,8 @@
 """Folders of exports: written as a whole or not at all, and never over a user's files."""
 
-import hashlib
 import json
 import tempfile
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,12 @@ def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> No
         raise ValueError(f"{folder} is a file: choose another folder for --out")
     try:
         manifest = json.loads((folder / marker).read_text(encoding="utf-8"))
-        sums = manifest.get("sha256") if manifest["format"] == form else {}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        sums = manifest["sha256"] if manifest["format"] == form else {}
+    except (OSError, ValueError, KeyError, TypeError):
         sums = {}
     for path in sorted(folder.iterdir()) if folder.exists() and isinstance(sums, dict) else ():
-        if not (sums and path.name == marker) and not (
-            path.is_file() and sums.get(path.name) == _sum(path.read_bytes())
-        ):
+        written = path.is_file() and sums.get(path.name) == sha256(path.read_bytes()).hexdigest()
+        if not written and not (sums and path.name == marker):
             raise ValueError(f"{folder} holds {path.name}, which no export wrote: choose another folder for --out")
     require_writable(folder.parent)
 
@@ -56,13 +55,9 @@ def write_export(folder: Path, name: str, title: str, params: ArmParams, files: 
         "torque_limit": params.torque_limit,
         "command": command_line(),
         "software": software("numpy", "ziglang"),
-        "sha256": {file: _sum(content) for file, content in sorted(files.items())},
+        "sha256": {file: sha256(content).hexdigest() for file, content in sorted(files.items())},
     }
     write_folder(folder, {**files, MANIFEST: (json.dumps(manifest, indent=2) + "\n").encode()})
-
-
-def _sum(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def write_folder(folder: Path, files: dict[str, bytes]) -> None:

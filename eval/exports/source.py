@@ -72,9 +72,8 @@ _CPP = (
     "reinterpret_cast requires static_assert static_cast template this thread_local throw try typeid typename "
     "using virtual wchar_t xor xor_eq"
 )
-_HEADERS = "errno linux stderr stdin stdout unix"  # macros that compilers and headers define
 _TEMPLATES = "in_the_loop begin_move next_move sample arithmetic_fault plus_rounder REAL_EPSILON REAL_MIN"
-TAKEN = {*_TEMPLATES.split(), *_CPP.split(), *_HEADERS.split()}
+TAKEN = {*_TEMPLATES.split(), *_CPP.split()}
 """Names that are taken in a program: those of the templates, and keywords of C++."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 

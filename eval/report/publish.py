@@ -26,12 +26,11 @@ from beltarm_env.metrics import ARRIVAL_BOUND, SETTLING_BAND, heading
 from beltarm_env.rollout import Recording
 from beltarm_env.task.cost import STILL_BAND
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
-from eval.comparison.cache import parts_of
 from eval.comparison.check import PERIOD_US
 from eval.comparison.custom import RESULTS
 from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.rollouts import Failure, calls_side_by_side
-from eval.comparison.schema import require_no_loss, write_results
+from eval.comparison.schema import require_rows_kept, write_results
 from eval.comparison.splits import EDITION, SPLITS, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
 from eval.report import figures
@@ -62,12 +61,9 @@ def publish(
     """
     scenes, traces, failures = record_scenes(comparison, splits, jobs)
     comparison, lost = comparison.with_failures(failures)
-    for outcome in lost:
-        for part in parts_of(outcome.method, splits[outcome.split], outcome.metrics["cost"].shape[1]):
-            part.file(folder).unlink(missing_ok=True)
     if lost:  # which are neither drawn nor compared with
         return publish(comparison, splits, folder, jobs)
-    require_no_loss(folder / RESULTS, comparison)
+    require_rows_kept(folder / RESULTS, comparison)
     content = write_results(comparison, folder, *verdict(comparison))
     page, drawn = folder / "report.html", plots(Results(content), traces)
     calls: dict[str, Callable[[], object]] = {"report.html": lambda: write_text(page, render(content, scenes))}

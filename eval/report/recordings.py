@@ -164,10 +164,8 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
         together = run_controller(batch[0].method, batch[0].split.name, playing)
         for arm, (k, run) in enumerate(zip(group, batch, strict=True)):
             recording = together if isinstance(together, Failure) else together.arm(arm)
-            if isinstance(recording, Failure) or _cost(recording) != run.costs[run.place]:
-                where = f"on scenario {run.number}"
-                recording = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
-            results[keys[k]] = recording
+            alike = not isinstance(recording, Failure) and _cost(recording) == run.costs[run.place]
+            results[keys[k]] = recording if alike else _as_measured(run)
     return results
 
 
@@ -176,13 +174,19 @@ def play(method: Method, split: Split, count: int) -> Recording:
     return rollout(method.controller(0), count, sensors=method.sensors, **split.arguments(slice(count)))
 
 
-def _as_measured(run: _Run) -> Recording:
-    """Record a run among those of its batch; raises ValueError where it is not the one that was measured."""
-    cost, again = run.costs[run.place], play(run.method, run.split, len(run.costs)).arm(run.place)
-    if _cost(again) != cost:
-        why = "it is not repeatable, or kept results are of other files or another machine (--fresh runs it anew)"
-        raise ValueError(f"it cost {cost:.9g}, and costs {_cost(again):.9g} when run again: {why}")
-    return again
+def _as_measured(run: _Run) -> Recording | Failure:
+    """Record a run among those of its batch; a failure where it is not the one that was measured."""
+    method, split, where, costs = run.method, run.split, f"on scenario {run.number}", [run.costs[run.place]]
+    for _ in range(2):  # results of another machine differ as well, but in the same way each time
+        together = run_controller(method, split.name, partial(play, method, split, len(run.costs)), where)
+        again = together if isinstance(together, Failure) else together.arm(run.place)
+        if isinstance(again, Failure) or _cost(again) == costs[0]:
+            return again
+        costs.append(_cost(again))
+    varies = costs[1] != costs[2]
+    why = "it does not repeat" if varies else "its results are of another machine or of other files: give --fresh"
+    words = f"{where}: it cost {costs[0]:.9g}, and costs {costs[1]:.9g} when run again: {why}"
+    return Failure(method.name, split.name, words, varies=varies)
 
 
 def _cost(recording: Recording) -> float:

@@ -14,6 +14,7 @@ from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.controller import behind_guard
 from baselines.guard import guard
 from baselines.guard.controller import GuardedController, servo_for
+from baselines.guard.encoder import UNSEEN
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
@@ -137,6 +138,8 @@ class TestKernel:
         assert bench.steps(3 * WAIT, base=0.0, residual=0.0)[1] == guard.PASSIVE_LEVEL, "for the rest of the move"
         bench.begins = True
         assert bench.step()[1] == guard.LEARNED_LEVEL
+        bench.memory[guard.PASSIVE], bench.memory[UNSEEN], bench.begins = 1.0, DESIGN.longest_loss, True
+        assert bench.step(angle=99.0) == (0.0, guard.PASSIVE_LEVEL), "no torque while the encoder is not believed"
 
 
 @pytest.mark.parametrize("value", [0.0, math.nan, 2e6, True, "1"])

@@ -111,12 +111,10 @@ def test_computed_torque_makes_the_rigid_arm_accelerate_as_wanted(angle: float):
 
 
 class TestFriction:
-    def test_level_falls_from_breakaway_to_coulomb_friction(self):
+    def test_level_falls_from_breakaway_to_coulomb_friction_and_the_direction_goes_through_zero(self):
         friction = dry.dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
         actual = [dry.friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
         np.testing.assert_allclose(actual, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
-
-    def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
         motions = (0.0, 0.0), (0.0, 0.01), (0.0, -9.0), (0.5, 0.0), (9.0, -0.01), (0.5, -0.01), (-9.0, 0.0)
         of = dry.SmoothCompensation(dry.dry_friction(ArmParams(coulomb_friction=1.0).row()), 1.0, 1.0, 0.02)
         actual = [dry.smooth_friction(of, speed, torque) for speed, torque in motions]

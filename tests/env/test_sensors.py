@@ -32,14 +32,12 @@ def series() -> Floats:
 
 
 class TestNoise:
-    def test_is_distributed_as_the_sum_of_four_uniform_numbers(self, series: Floats):
+    def test_is_the_sum_of_four_uniform_numbers_white_and_of_its_own_on_each_axis_and_episode(self, series: Floats):
         values = series.ravel()
         assert abs(values.mean()) < 4 / math.sqrt(len(values))
         assert values.std() == pytest.approx(1, abs=4 / math.sqrt(2 * len(values)))
         sums = np.random.default_rng(1).random((200_000, 4)).sum(axis=1)
         assert kstest(values, (sums - 2) / math.sqrt(1 / 3)).pvalue > 0.01
-
-    def test_is_white_and_of_its_own_on_each_axis_and_in_each_episode(self, series: Floats):
         near = np.array([[noise(seed, float(k), 0) for k in range(400)] for seed in (123456.0, 123457.0)])
         neighbours = (series[:, 1:], series[:, :-1]), (series[:, 2:], series[:, :-2]), (series[1:], series[:-1])
         axes = (series[..., 0], series[..., 1]), (series[:, 1:, 0], series[:, :-1, 1])

@@ -87,7 +87,6 @@ class Assignments(Calls):
 
     def _assign_name(self, name: str, value: Value) -> None:
         once = not self.often(name)
-        self.unset -= {name}
         self._check_form(name, value)
         if isinstance(value, Lazy):
             raise TranslationError(f"the array expression for {name} must be written into an array: {name}[:] = ...")

@@ -18,6 +18,7 @@ from beltarm_env.engine.translation.numbers import NUMBERS, bare, binary, cast, 
 from beltarm_env.engine.translation.scope import PREFIX, Scope
 from beltarm_env.engine.translation.types import (
     BOOL,
+    UNSET,
     Array,
     Const,
     Group,
@@ -56,8 +57,8 @@ class Expressions(Scope):
         return Const(node.value)
 
     def _name(self, node: ast.Name) -> Value:
-        if node.id in self.unset:
-            raise TranslationError(f"{node.id} is set on one way and not on another: set it before the if")
+        if self.names.get(node.id) is UNSET:
+            raise TranslationError(f"{node.id} is set on one way and not on another: set it before they part")
         if node.id in self.names:
             return self.names[node.id]
         if node.id in self.assigned:

@@ -159,9 +159,10 @@ def binary(kind: type, left: Any, right: Any) -> Any:
         values: list[Any] = [left.value, right.value]
         if all(isinstance(one, NUMBERS) and type(one) is not np.uint64 for one in values) and _wider(*values) == REAL:
             values = [float(one) if dtype_of_number(one) == SINGLE else one for one in values]
-        if not (kind is ast.Div and values[1] == 0):  # which C makes an infinity or no number of
-            with np.errstate(all="ignore"):
-                return Const(PYTHON_OPERATORS[kind](*values))
+        with np.errstate(all="ignore"):
+            if kind is ast.Div and values[1] == 0:
+                return Const(float(np.divide(*values)))
+            return Const(PYTHON_OPERATORS[kind](*values))
     a, b = scalar(left), scalar(right)
     if kind is ast.Add and isinstance(right, Const) and right.value == ROUNDER and a.dtype == REAL:
         return Scalar(REAL, f"plus_rounder({bare(a.code)})")  # half of rounding, which no compiler takes away

@@ -17,7 +17,7 @@ from beltarm_env.engine.translation.function import Function, NotReturnableError
 from beltarm_env.engine.translation.known import named, shown
 from beltarm_env.engine.translation.numbers import NUMBERS, bare, cast, dtype_of_number, literal, scalar
 from beltarm_env.engine.translation.reading import assignments, place, placed, tree_of
-from beltarm_env.engine.translation.scope import PREFIX, RESERVED, type_of
+from beltarm_env.engine.translation.scope import PREFIX, RESERVED, WORDS, type_of
 from beltarm_env.engine.translation.statements import Statements
 from beltarm_env.engine.translation.tidy import text_of
 from beltarm_env.engine.translation.types import (
@@ -71,7 +71,7 @@ class Program:
     def struct(self, kind: RecordType) -> str:
         """Name of a struct, declared at its first use."""
         if kind not in self.structs:
-            if taken := RESERVED & {name for name, _ in kind.fields}:
+            if taken := WORDS & {name for name, _ in kind.fields}:
                 raise TranslationError(f"the field {min(taken)} of {kind.name} means something else in C: rename it")
             fields = [
                 f"    {self.struct(of) if isinstance(of, RecordType) else of} {name};" for name, of in kind.fields

@@ -30,15 +30,18 @@ from beltarm_env.engine.translation.types import (
 )
 from beltarm_env.engine.translation.whole import may_wrap, span
 
-RESERVED = set(
+WORDS = set(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true "
-    "false real main self memset NULL NAN INFINITY R ROUNDER PRECISE int8_t int16_t int32_t int64_t uint8_t uint16_t "
-    "uint32_t uint64_t size_t y0 y1 yn j0 j1 jn gamma signgam exp log sin cos tan pow round floor ceil sqrt fabs fmod "
-    "floorf ceilf sqrtf fabsf fmodf isnan isfinite isinf square cube fourth_power floor_div floor_mod real_sqrt "
-    "real_floor real_ceil real_fmod real_abs real_sign real_mod real_floor_div real_max real_min float_max float_min "
-    "int_max int_min int_abs int_add int_sub int_mul int_of int_at int_cut INT64_C INT64_MIN heap result_ shift_left "
-    "shift_right".split()
+    "false NULL NAN INFINITY ROUNDER INT64_MIN errno linux stderr stdin stdout unix".split()
+)
+"""Keywords of C and macros of headers and compilers, which no field may be called either."""
+RESERVED = WORDS | set(
+    "real main self memset R PRECISE int8_t int16_t int32_t int64_t uint8_t uint16_t uint32_t uint64_t size_t y0 y1 "
+    "yn j0 j1 jn gamma signgam exp log sin cos tan pow round floor ceil sqrt fabs fmod floorf ceilf sqrtf fabsf fmodf "
+    "isnan isfinite isinf square cube fourth_power floor_div floor_mod real_sqrt real_floor real_ceil real_fmod "
+    "real_abs real_sign real_mod real_floor_div real_max real_min float_max float_min int_max int_min int_abs int_add "
+    "int_sub int_mul int_of int_at int_cut INT64_C heap result_ shift_left shift_right".split()
 )
 """Names that mean something else in C, or in the headers of the programs."""
 
@@ -66,7 +69,7 @@ class Scope:
     kinds: dict[str, Any] = field(default_factory=dict)  # types of variables, from pass to pass
     negative: set[str] = field(default_factory=set)  # whole numbers that may be, from pass to pass
     names: dict[str, Value] = field(default_factory=dict)
-    unset: frozenset[str] = frozenset()  # names that one way of an if before has not set
+    exits: list[dict[str, Value]] = field(default_factory=list)  # names at each break and continue of a loop
     locals: dict[str, Local] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     line: int = 0

@@ -17,6 +17,7 @@ from beltarm_env.engine.translation.types import (
     BOOL,
     INT,
     SMALL,
+    UNSET,
     Array,
     Const,
     Lazy,
@@ -73,10 +74,12 @@ class Statements(Assignments):
         raise NotImplementedError
 
     def _do_break(self, statement: ast.Break) -> bool:
+        self.exits.append(dict(self.names))
         self.write("break;")
         return True
 
     def _do_continue(self, statement: ast.Continue) -> bool:
+        self.exits.append(dict(self.names))
         self.write("continue;")
         return True
 
@@ -85,25 +88,21 @@ class Statements(Assignments):
         if isinstance(asked, Const):
             return self.block(statement.body if asked.value else statement.orelse)
         self.write(f"if ({bare(asked.code)}) {{")
-        before, unset = dict(self.names), self.unset
+        before = dict(self.names)
         ends = []
         for k, body in enumerate((statement.body, statement.orelse)):
             if k and not body:
-                ends.append((False, before, unset))
+                ends.append((False, before))
                 continue
             if k:
                 self.write("} else {")
-            self.names, self.unset = dict(before), unset
+            self.names = dict(before)
             gone, lines = self._inside(lambda body=body: self.block(body))
-            ends.append((gone, self.names, self.unset))
+            ends.append((gone, self.names))
             self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        (gone, names, unset), (other_gone, others, other_unset) = ends
-        if gone or other_gone:
-            self.names, self.unset = (others, other_unset) if gone else (names, unset)
-        else:  # known values that differ are variables by now
-            self.names = {**names, **others}
-            self.unset = unset | other_unset | (names.keys() ^ others.keys())
+        (gone, names), (other_gone, others) = ends
+        self.names = others if gone else names if other_gone else _met(names, others)
         return gone and other_gone
 
     def _do_while(self, statement: ast.While) -> bool:
@@ -128,11 +127,12 @@ class Statements(Assignments):
 
     def _looped(self, turn: Callable[[], Any]) -> None:
         """Translate the turns of a loop, and end it."""
-        self.loops += 1
+        of_outer, self.exits, self.loops = self.exits, [], self.loops + 1
         _, lines = self._inside(turn)
         self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        self.loops -= 1
+        self.names = _met(*self.exits, self.names)
+        self.exits, self.loops = of_outer, self.loops - 1
 
     def _inside(self, action: Callable[[], Any]) -> tuple[Any, list[str]]:
         """Translate a branch or the turns of a loop, as `apart`."""
@@ -255,6 +255,15 @@ class Statements(Assignments):
                 self.assign(target, new)
             else:
                 self.put(place, new)
+
+
+def _met(*ways: dict[str, Value]) -> dict[str, Value]:
+    """Names where ways meet, by the last of them; known values that differ are variables by now."""
+    every: dict[str, Value] = {}
+    for names in ways:
+        every |= names
+    certain = {name for name in every if all(names.get(name, UNSET) is not UNSET for names in ways)}
+    return {name: value if name in certain else UNSET for name, value in every.items()}
 
 
 def _leaves(body: list[ast.stmt], kinds: Any) -> bool:

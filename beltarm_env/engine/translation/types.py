@@ -134,6 +134,8 @@ class Lazy:
 
 
 Value = Const | Scalar | Record | Array | Group | Lazy
+UNSET = Const(object())
+"""Of a name that has no value on one of the ways that meet."""
 
 
 def dtype_of(dtype: Any) -> str:

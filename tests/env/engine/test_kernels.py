@@ -119,15 +119,12 @@ def test_a_kernel_gives_what_it_gives_in_python(kernel: Any, calls: list[Any], c
     assert told(capsys) == [] and not kernel._refused, "it runs as C"
 
 
-def test_what_it_returns_is_its_own():
+def test_what_it_returns_is_its_own_and_arguments_come_by_name_and_by_default():
     first, second = smoothed(GRID, 1), smoothed(GRID, 0)
     assert type(first) is Found and type(first.gains) is Gains and first.gains.b == 4.0
     before = second.rows.copy()
     first.rows[:] = 7.0
     assert first.rows.flags.writeable and (second.rows == before).all() and (smoothed(GRID, 0).rows == before).all()
-
-
-def test_arguments_by_name_and_by_default():
     assert weighted(gain=3.0, x=2.0) == weighted(2.0, 3.0) == weighted.py_func(2.0, 3.0)
     assert weighted(2.0, gains=Gains(1.0)) == weighted.py_func(2.0, gains=Gains(1.0))
     for arguments, named in (((), {}), ((1.0, 2.0, Gains(1.0), 4.0), {}), ((1.0,), {"x": 2.0}), ((1.0,), {"y": 2.0})):

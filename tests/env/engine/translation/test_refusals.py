@@ -36,6 +36,8 @@ def doubles(x):
         return np.zeros(2)
     return np.ones(2)
 
+def grown(x): y = np.zeros(2); return y
+
 def bumped(a):
     a[0] += 1.0
     return a[0]
@@ -107,7 +109,9 @@ CASES: list[tuple[Any, tuple[Any, ...], str]] = [
     (("whole numbers", "range(a)"), (1.0,), "for _ in range(a): #;     a += 1.0; return a"),
     (("step",), (3,), "total = 0; for k in range(0, a, 0):;     total += k; return total"),
     (("short", "in C"), (1.0,), "word = Word(a, a); for _ in range(3):;     word = Word(word.low, a); return word.low"),
-    (("before the if",), (1.0,), "if a > 0.0:;     y = 1.0; elif a < 0.0:;     y = -1.0; return y #"),
+    (("y is set on one way",), (1.0,), "if a > 0.0:;     y = 1.0; elif a < 0.0:;     y = -1.0; return y #"),
+    (("y is set on one way",), (1.0,), "if a > 0.0:;     y = 1.0; made = grown(a); return made[0] + y #"),
+    (("y is set on one way",), (3,), "for k in range(a):;     if k > 0:;         continue;     y = k; return y #"),
     (("before it is set",), (1.0,), "y = z + a #; z = y; return z"),
     (("max takes two numbers",), (ROW,), "return max(a) #"),
     (("in place",), (WHOLES, 0.5), "a += b; return a[0]"),
