@@ -123,7 +123,7 @@ COLUMNS = {
     "left_percent": ("left (%)", 1),
 }
 """Title and decimals of the scores that are shown."""
-_BOTTOM, _TOP = 0.88, 1.15  # of the picture
+_BOTTOM, _TOP = 0.88, 1.2  # of the picture
 _TICKS = (0.9, 0.95, 1.0, 1.05, 1.1)
 
 
