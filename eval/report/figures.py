@@ -48,7 +48,8 @@ LOOK: dict[Any, Any] = {
     **dict.fromkeys("text.color xtick.color ytick.color axes.edgecolor axes.labelcolor axes.titlecolor".split(), INK),
     "grid.color": MUTED,
     "grid.alpha": 0.3,
-    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
+    "axes.spines.top": False,
+    "axes.spines.right": False,
     "path.simplify_threshold": 0.2,
 }
 """Style of all figures of the page."""

@@ -146,6 +146,9 @@ def test_a_failure_names_its_place_and_shows_its_traceback(tmp_path: Path, capsy
 
 
 def test_controllers_that_cannot_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(check, "run_isolated", lambda call, *_: call())  # a process for each takes seconds
+    (tmp_path / "broken.py").write_text("class\n")
+    (tmp_path / "empty.py").write_text("class Other: pass\nclass Needs:\n    def __init__(self, gain): pass\n")
     for spec, named in (
         ("nothing", "'nothing'"),
         (f"{ROOT / 'README.md'}:X", "README.md"),
@@ -156,9 +159,6 @@ def test_controllers_that_cannot_be_loaded(tmp_path: Path, monkeypatch: pytest.M
         ("empty.py:Other", "predict"),
         ("empty.py:Needs", "TypeError"),
     ):
-        monkeypatch.setattr(check, "run_isolated", lambda call, *_: call())  # a process for each takes seconds
-        (tmp_path / "broken.py").write_text("class\n")
-        (tmp_path / "empty.py").write_text("class Other: pass\nclass Needs:\n    def __init__(self, gain): pass\n")
         assert named in mistake(main, (spec,), tmp_path)
 
 

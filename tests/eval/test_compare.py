@@ -185,6 +185,7 @@ def test_policies_of_a_first_look(results: dict[str, Any], tmp_path: Path, monke
 
 
 def test_a_spoilt_results_file_is_refused(results: dict[str, Any], tmp_path: Path):
+    Draft202012Validator.check_schema(SCHEMA)
     for spoil, place in (
         (lambda r: r.pop("rows"), "rows"),
         (lambda r: r["rows"][1].update(kind="best"), r"rows\[1\]\.kind"),
@@ -193,7 +194,6 @@ def test_a_spoilt_results_file_is_refused(results: dict[str, Any], tmp_path: Pat
         (lambda r: r.update(version="1"), "version"),
         (lambda r: r.update(paired={}), "paired"),
     ):
-        Draft202012Validator.check_schema(SCHEMA)
         content = json.loads(json.dumps(results))
         spoil(content)
         (tmp_path / "results.json").write_text(json.dumps(content))
