@@ -119,7 +119,7 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem) -> None:
         z[i] = state[i] - (rows[first, i] + share * (rows[first + 1, i] - rows[first, i]))
     for k in range(first - 1, len(rows) - 1):
         now = max(k, first)
-        if k <= first or k <= problem.rest:
+        if k <= max(first, problem.rest):
             set_step(problem, reference_of(problem, now), reference_of(problem, now + 1), a, b, d)
         torque = rows[now, TORQUE]
         for i in range(4):
@@ -171,7 +171,7 @@ def _follow(steps: Floats, first: int, problem: Problem, sample: Sample) -> None
     now = reference_of(problem, first)
     for k in range(first, len(steps) - 1):
         after = reference_of(problem, k + 1)
-        if k <= problem.rest or k == first:
+        if k <= max(first, problem.rest):
             set_step(problem, now, after, sample.transition, sample.by_input, sample.slope)
         last = followed_change(4, steps[k, 5], steps[k, :5], away, last)
         deviate(4, sample.transition, sample.by_input, away, last, following)

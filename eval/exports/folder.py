@@ -6,7 +6,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import replace_folder, require_writable
+from baselines.tools.files import replace_folder, require_writable, sha256_of
 from baselines.tools.provenance import command_line, software
 from beltarm_env import ArmParams
 from beltarm_env.task.ranges import EDITION
@@ -32,7 +32,7 @@ def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> No
     except (OSError, ValueError, KeyError, TypeError):
         sums = {}
     for path in sorted(folder.iterdir()) if folder.exists() and isinstance(sums, dict) else ():
-        written = path.is_file() and sums.get(path.name) == sha256(path.read_bytes()).hexdigest()
+        written = path.is_file() and sums.get(path.name) == sha256_of(path)
         if not written and not (sums and path.name == marker):
             raise ValueError(f"{folder} holds {path.name}, which no export wrote: choose another folder for --out")
     require_writable(folder.parent)
