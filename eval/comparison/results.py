@@ -136,15 +136,15 @@ class Comparison:
     scenario_set: SetLabel  # of the splits
     provenance: dict[str, Any]
 
-    def with_failures(self, failures: list[Failure]) -> tuple[Comparison, list[MethodOutcome]]:
-        """Copy with more failures, one per method and split, and without outcomes that do not repeat; and those."""
-        failed = {(failure.method, failure.split): failure for failure in reversed([*self.failures, *failures])}
-        lost = [o for o in self.outcomes if (o.name, o.split) in {(f.method, f.split) for f in failures if f.varies}]
-        every = list(reversed(failed.values()))
-        if not lost:
-            return replace(self, failures=every), []
-        left = [outcome for outcome in self.outcomes if outcome not in lost]
-        return make_comparison(left, every, self.scenario_set, self.provenance), lost
+    def with_failures(self, failures: list[Failure]) -> Comparison:
+        """Copy with more failures, one per method and split, and without outcomes that do not repeat."""
+        failed: dict[tuple[str, str], Failure] = {}
+        for failure in (*self.failures, *failures):
+            failed.setdefault((failure.method, failure.split), failure)
+        varying = {(failure.method, failure.split) for failure in failures if failure.varies}
+        left = [outcome for outcome in self.outcomes if (outcome.name, outcome.split) not in varying]
+        copy = replace(self, failures=[*failed.values()])
+        return make_comparison(left, copy.failures, self.scenario_set, self.provenance) if varying else copy
 
     def on(self, split: str) -> list[MethodOutcome]:
         """Outcomes on one split, in the order of the methods; those that are not ranked last."""
@@ -246,6 +246,7 @@ def _marks(outcomes: list[MethodOutcome], name: str) -> dict[str, Mark]:
     """
     ranked = [outcome for outcome in outcomes if outcome.ranked]
     shown = [outcome for outcome in ranked if name == "cost" or outcome.not_arrived <= 1 - MOSTLY]
+    shown = [outcome for outcome in shown if np.isfinite(outcome.estimates[name].iqm)]
     best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
     if best is None or best.metrics[name].shape[1] < statistics.LEAST_SCENARIOS:
         return {}

@@ -61,11 +61,6 @@ def _shifted(**times: tuple[float, float]) -> dict[str, tuple[float, float]]:
     return {name: (low * getattr(NOMINAL, name), high * getattr(NOMINAL, name)) for name, (low, high) in times.items()}
 
 
-def _beyond(low: float, high: float, *names: str) -> dict[str, tuple[float, float]]:
-    """Ranges of some constants as multiples of the upper ends of their training ranges."""
-    return {name: (low * TRAIN_RANGES[name][1], high * TRAIN_RANGES[name][1]) for name in names}
-
-
 def _shifts(description: str, beyond: Ranges | None = None, **more: Any) -> Definition:
     """Define shifts with some ranges beyond those of training."""
     return Definition(description, {**SHIFT_RANGES, **(beyond or {})}, moves=MOVES, **more)
@@ -89,7 +84,7 @@ SPLITS = {
     ),
     "drive": _shifts(
         "shifts with worse drives: ripple, breakaway, kinematic error and lag 1.3 to 1.8 times the most in training",
-        _beyond(1.3, 1.8, *_DRIVE),
+        {name: (1.3 * TRAIN_RANGES[name][1], 1.8 * TRAIN_RANGES[name][1]) for name in _DRIVE},
     ),
     "presliding": _shifts(
         "shifts with motors that give by 10 to 20 mrad before they slip", {"presliding_deflection": (0.010, 0.020)}

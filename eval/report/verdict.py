@@ -17,10 +17,10 @@ import jinja2
 from baselines import CONTROLLERS, DOMINATED
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
-from eval.comparison.methods import PRIVILEGED, is_shipped, shipped_policies
+from eval.comparison.methods import PRIMARY, PRIVILEGED, is_shipped, project_names, shipped_policies
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.splits import EPISODES, MOVES
-from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
+from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, average, holm, mean_differences
 
 Result = Literal["better", "worse", "open"]
 
@@ -38,7 +38,7 @@ _KINDS = {"learned": "learned method", "classical": "classical controller", "add
 
 def called(name: str, kind: str, ranking: Sequence[str]) -> str:
     """Call a method by its kind, and the best by its rank in all of them, or in those alone that took part."""
-    usual = {"classical": {*CONTROLLERS} - {*DOMINATED}, "learned": {path.parent.name for path in shipped_policies()}}
+    usual = {"classical": {*CONTROLLERS} - {*DOMINATED}, "learned": {*project_names()} - {*CONTROLLERS, PRIVILEGED}}
     best = "best " if ranking[0] == name else ""
     here = " of this run" if best and usual.get(kind, set[str]()) - {*ranking} else ""
     return f"the {best}{_KINDS[kind]}{here}, {name}"
@@ -70,6 +70,7 @@ class PairwiseTest:
     metric: str
     middle: Paired  # of interquartile means
     mean: Estimate  # of the difference, with its interval
+    averages: tuple[float, float]  # of both, over the scenarios that are compared
 
     @property
     def split(self) -> str:
@@ -82,6 +83,14 @@ class PairwiseTest:
         if self.middle.better and self.mean.high < 0:
             return "better"
         return "worse" if self.middle.survives and self.middle.difference.iqm > 0 and self.mean.low > 0 else "open"
+
+    @property
+    def alone(self) -> str:
+        """What is shown of one average where the other does not show it; empty for nothing."""
+        middle = {True: "lower", False: "higher"}[self.middle.difference.iqm < 0] if self.middle.survives else ""
+        mean = "lower" if self.mean.high < 0 else ("higher" if self.mean.low > 0 else "")
+        shown = {f"interquartile mean is {middle}": middle, f"mean is {mean}": mean}
+        return " and its ".join(words for words, way in shown.items() if way) if self.result == "open" else ""
 
     @property
     def relative(self) -> float:
@@ -117,8 +126,8 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]
     away = [(outcome, shares) for outcome, shares in arrivals if shares.any()]
-    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "policies": len(pair[0].method.sources)}
-    words["all_policies"] = len([path for path in shipped_policies() if path.parent.name == pair[0].name])
+    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "splits": comparison.splits()}
+    words |= {"policies": pair[0].seeds, "all_policies": len(shipped_policies(method=pair[0].name))}
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
         return _sentences(tests={}, episodes=episodes, **words), []
@@ -139,7 +148,10 @@ def _sentences(**numbers: Any) -> list[str]:
 
 
 def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, PairwiseTest]:
-    """Tests of the primary comparison by split, corrected for the number of splits; none where nothing is decided."""
+    """Tests of the primary comparison by split, corrected for their number; none where nothing is decided.
+
+    A challenger that the protocol does not name is the best of some on these scenarios: they are counted as well.
+    """
     pair = comparison.primary_pair()
     if pair is None:
         return {}
@@ -148,7 +160,8 @@ def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, Pa
     pairs = [(of_split[names[0]], of_split[names[1]]) for of_split in by_split if {*names} <= of_split.keys()]
     tests = _tested(pairs, metric)
     undecided = [1.0] * (len(comparison.splits()) - len(tests))  # which belong to the family
-    adjusted = holm([*(test.middle.p for test in tests), *undecided])
+    challengers = 1 if names == PRIMARY else len(comparison.challengers(comparison.main_split))
+    adjusted = holm([*(min(1.0, challengers * test.middle.p) for test in tests), *undecided])
     corrected = zip(tests, adjusted, strict=False)
     return {test.split: replace(test, middle=replace(test.middle, p_holm=p)) for test, p in corrected}
 
@@ -158,5 +171,7 @@ def _tested(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -
     tables = [tables_of(*pair, metric) for pair in pairs]
     enough = [k for k, (values, _) in enumerate(tables) if values.shape[1] >= LEAST_SCENARIOS]
     pairs, tables = [pairs[k] for k in enough], [tables[k] for k in enough]
-    compared = zip(pairs, all_paired(tables), mean_differences(tables), strict=True)
-    return [PairwiseTest(*pair, metric, replace(middle, p_holm=middle.p), mean) for pair, middle, mean in compared]
+    middles = [replace(middle, p_holm=middle.p) for middle in all_paired(tables)]
+    averages = [(average(metric, values), average(metric, others)) for values, others in tables]
+    compared = zip(pairs, middles, mean_differences(tables), averages, strict=True)
+    return [PairwiseTest(*pair, metric, middle, mean, both) for pair, middle, mean, both in compared]

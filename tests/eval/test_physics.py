@@ -20,8 +20,7 @@ from eval.studies.physics import REGIMES, SETTINGS, distance, motions
 def test_motions_of_each_regime(regime: str):
     (motion,) = motions(regime, 1, 4_000_000)
     assert np.ptp(motion.tips[:, 0]) > 0.01, "moves"
-    assert (motion.stops == 0) == (regime == "smooth")
-    assert (motion.params.coulomb_friction == 0) == (regime == "smooth")
+    assert (motion.stops == 0) == (motion.params.coulomb_friction == 0) == (regime == "smooth")
 
 
 def test_kernel_and_mujoco_agree_with_the_event_located_solution():
@@ -31,16 +30,14 @@ def test_kernel_and_mujoco_agree_with_the_event_located_solution():
     for torque, there in zip(motion.torques.tolist(), motion.tips, strict=True):
         arm.sample(torque)
         worst = max(worst, float(np.linalg.norm(tip(arm.params, arm.state) - there)))
-    assert worst < 1e-7
-    assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-4
+    assert worst < 1e-7 and distance(motion, 2, **SETTINGS["RK4"]) < 1e-4
 
 
 def test_difference_shrinks_with_the_solver_settings():
     (motion,) = motions("stick-slip", 1, 4_000_000)
     own, no_creep, quick = (distance(motion, 2, **setting) for setting in list(SETTINGS.values())[3:])
     best = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (1, 2, 4)]
-    assert min(own, no_creep) > 2 * quick > 10 * best[0]
-    assert best[0] > 2 * best[1] > 4 * best[2]
+    assert min(own, no_creep) > 2 * quick > 10 * best[0] and best[0] > 2 * best[1] > 4 * best[2]
     (motion,) = motions("drive", 1, 4_000_000)
     assert all(getattr(motion.params, name) == DRIVE_RANGES[name][1] for name in EXPRESSIBLE)
     distances = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (2, 4, 8)]

@@ -19,7 +19,7 @@ from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, m
 from eval.comparison.rollouts import Failure
 from eval.comparison.schema import check
 from eval.comparison.sets import SetLabel
-from eval.comparison.statistics import Estimate, Paired
+from eval.comparison.statistics import Estimate, Paired, interquartile_mean
 from eval.report import summary
 from eval.report.publish import print_results
 from eval.report.table import Results, to_markdown
@@ -46,7 +46,6 @@ def test_the_first_sentence_is_of_the_main_split():
 
 
 def test_the_protocol_says_who_is_compared():
-    """Whoever is best on these scenarios: choosing on them would favour whom it chooses."""
     costs = {"adaptive": 100.0, "lucky": 90.0, "student": 80.0, "net": 50.0}
     comparison = made(*(outcome(name, KINDS.get(name, "classical"), cost) for name, cost in costs.items()))
     test = pairwise_tests(comparison)["nominal"]
@@ -60,7 +59,6 @@ def test_the_protocol_says_who_is_compared():
 
 
 def test_the_main_split_decides_who_is_compared():
-    """On every split the same two methods, though others are better there; and the tests are in the results."""
     costs = {"randomized": {"pid": 100.0, "lqg": 90.0, "net": 80.0}, "nominal": {"pid": 50.0, "lqg": 60.0, "net": 70.0}}
     methods = [(name, cost, split) for split, of_split in costs.items() for name, cost in of_split.items()]
     comparison = made(*(outcome(name, KINDS.get(name, "classical"), cost, split) for name, cost, split in methods))
@@ -80,17 +78,18 @@ def test_a_learned_method_is_compared_with_its_base_too():
 
 
 def test_both_averages_decide():
-    for middle, p, low, high, result in (
-        (-1.0, 0.04, -2.0, -1e-9, "better"),
-        (-1.0, 0.04, -2.0, 0.0, "open"),
-        (-1.0, 0.06, -2.0, -1.0, "open"),
-        (1.0, 0.04, 1e-9, 2.0, "worse"),
-        (1.0, 0.04, -2.0, -1.0, "open"),
+    for middle, p, low, high, result, alone in (
+        (-1.0, 0.04, -2.0, -1e-9, "better", ""),
+        (-1.0, 0.04, -2.0, 0.0, "open", "interquartile mean is lower"),
+        (-1.0, 0.06, -2.0, -1.0, "open", "mean is lower"),
+        (-1.0, 0.06, -2.0, 0.0, "open", ""),
+        (1.0, 0.04, 1e-9, 2.0, "worse", ""),
+        (1.0, 0.04, -2.0, -1.0, "open", "interquartile mean is higher and its mean is lower"),
     ):
         compared = Paired(Estimate(middle, middle, middle), Estimate(0.0, 0.0, 0.0), p, p_holm=p)
         net, pid = outcome("net", "learned", 60.0), outcome("pid", "classical", 100.0)
-        test = PairwiseTest(net, pid, "cost", compared, Estimate(0.5 * (low + high), low, high))
-        assert test.result == result and test.relative == pytest.approx(middle / 100)
+        test = PairwiseTest(net, pid, "cost", compared, Estimate(0.5 * (low + high), low, high), (60.0, 100.0))
+        assert (test.result, test.alone) == (result, alone) and test.relative == pytest.approx(middle / 100)
 
 
 def test_the_correction_is_for_all_splits():
@@ -108,6 +107,8 @@ def test_methods_of_a_users_own_are_corrected_for_all_methods():
     assert min(pair_of(comparison, each.name)["cost"].p for each in own) < 0.05
     said = [sentence for sentence in verdict(comparison) if "mine" in sentence]
     assert len(said) == 12 and all("no difference" in sentence for sentence in said)
+    best = pairwise_tests(made(outcome("pid", "classical", 100.0), *own))["nominal"].middle  # chosen on these scenarios
+    assert best.p_holm == min(1.0, 12 * best.p)
 
 
 @pytest.mark.parametrize(("tied", "shifted", "ties"), [(98.0, 60.0, 1), (102.0, 150.0, 1), (98.0, 98.0, 2)])
@@ -129,8 +130,10 @@ def test_without_a_learned_method_or_a_classical_one():
         (("net",), [], "No classical controller, --methods"),
         (("pid",), [Failure("net", "nominal", "it broke")], "could not be run, pid (80)"),
         (("Mine", "pid"), [], "added controller, Mine, 20% less, of this run"),
+        (("net", "pid"), [Failure("net", "payload", "it broke")], "20% less, not compared on payload"),
     ):
         outcomes = [outcome(name, KINDS.get(name, "classical"), 80.0 + 20 * k) for k, name in enumerate(names)]
+        outcomes += [outcome("pid", "classical", 100.0, each.split) for each in failures if each.split != "nominal"]
         said = " ".join(verdict(made(*outcomes, failures=failures)))
         assert all(word in said for word in words.split(", "))
 
@@ -152,19 +155,20 @@ def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
     assert max(map(len, lines)) <= 80 and lines[0].startswith("randomized: ")
     shown = [line.split()[0] for line in lines if re.match(r" ?\w+ +\d+", line)]
     assert shown[:5] == ["student", "adaptive", "ppo", "paper", "privileged"]
-    text = " ".join(" ".join(lines).split())
-    assert all(" ".join(sentence.split()) in text for sentence in verdict(many))
+    assert all(" ".join(sentence.split()) in " ".join(" ".join(lines).split()) for sentence in verdict(many))
     long = printed(made(*(outcome(name, "classical", 1234.0, spread=400.0) for name in ("pid", 30 * "long-"))))
     rows = [line for line in long if line.startswith((" pid", " long-"))]
     assert [len(re.findall(r"\d+\.?\d*", row)) for row in rows] == [8, 8] and max(map(len, long)) <= 80
 
 
-def still(away: float, seeds: int = 1) -> MethodOutcome:
-    """A controller that does nothing: no vibration, no torque, and a share of its scenarios never reached."""
+def still(away: float, seeds: int = 1, **others: Any) -> MethodOutcome:
+    """A controller that does nothing, and never reaches a share of its scenarios; `others` are metrics that it has."""
     lazy = outcome("Zero", "added", 5000.0, seeds=seeds)
     for name in {*OF_ARRIVED} & {*SHOWN}:
         lazy.metrics[name][:] = 0.0
     lazy.metrics[NOT_ARRIVED][-1, : round(away * 24)] = 1.0
+    for name, values in others.items():
+        lazy.metrics[name][:] = values
     return outcome_of(Method("Zero", "added", ("zero.py:Zero",) * seeds, ""), "nominal", lazy.metrics, (1.0, 1.0))
 
 
@@ -189,10 +193,8 @@ def test_doing_nothing_is_not_better_at_anything():
 
 @pytest.mark.parametrize(("away", "compared"), [(0.1, 22), (0.5, 12)])
 def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
-    lazy = still(away)
-    lazy.metrics["residual_pp_mm"][:] = np.where(lazy.metrics[NOT_ARRIVED] > 0, 0.0, 300.0)
-    lazy.metrics["tip_rms_mm"][:] = 1.0  # as of arms that leave at once
-    lazy = outcome_of(lazy.method, "nominal", lazy.metrics, (1.0, 1.0))
+    vibration = np.where(np.arange(24) < 24 - compared, 0.0, 300.0)
+    lazy = still(away, residual_pp_mm=vibration, tip_rms_mm=1.0)  # as of arms that leave at once
     comparison = made(outcome("pid", "classical", 100.0), lazy)
     assert lazy.estimates["residual_pp_mm"].iqm == 300
     pair = pair_of(comparison, "Zero")["residual_pp_mm"]
@@ -201,8 +203,12 @@ def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
     assert [comparison.marks["nominal"][name] for name in ("residual_pp_mm", "tip_rms_mm")] == [{"pid": "best"}] * 2
     metrics = {row["metric"] for row in content_of(comparison)["primary"]}
     assert ("residual_pp_mm" in metrics) == (compared >= 20)
+    reached = f"{interquartile_mean(comparison.outcomes[0].metrics['residual_pp_mm'][:, -compared:]):.2f} mm with pid"
+    assert (reached in " ".join(verdict(comparison))) == (compared >= 20)
     two = still(1.0, seeds=2)  # one of its seeds never arrives
     assert np.isnan(two.estimates["residual_pp_mm"].iqm) and two.not_arrived == 0.5
+    many = made(still(0.0, 24, **{NOT_ARRIVED: np.eye(24)}), outcome("pid", "classical", 100.0))
+    assert many.marks["nominal"]["residual_pp_mm"] == {"pid": "best"}, "nowhere do all seeds arrive"
 
 
 def test_four_scenarios_are_no_verdict():

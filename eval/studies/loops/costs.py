@@ -46,11 +46,6 @@ def _latency(title: str, samples: float) -> Change:
     return Change(f"latency {title}", {"command_latency": samples * CONTROL_PERIOD})
 
 
-def _drive_effect(name: str) -> Change:
-    """An effect of the drive half as large again as the upper end of its training range."""
-    return Change(heading(name, 1.5), {name: 1.5 * DRIVE_RANGES[name][1]})
-
-
 _FRICTION = ("coulomb_friction", "motor_viscous_friction")
 _EFFECTS = ("current_loop_time_constant", "static_friction_excess", "friction_variation")
 _EFFECTS += ("torque_ripple", "kinematic_error", "belt_stiffening")
@@ -71,7 +66,7 @@ CHANGES = (
     _latency("+0.5 sample", _OWN + 0.5),
     _latency("+1 sample", _OWN + 1.0),
     *_TORQUE_CONSTANT,
-    *map(_drive_effect, _EFFECTS),
+    *(Change(heading(name, 1.5), {name: 1.5 * DRIVE_RANGES[name][1]}) for name in _EFFECTS),
     Change("encoder of 1000 counts", settings={"encoder_counts": 1000}),
     Change("encoder 1 sample late", settings={"delay": 1}),
     Change("full two-link arm", settings={"model": "lagrangian"}),

@@ -79,7 +79,9 @@ def run_scenes() -> tuple[list[dict[str, Any]], dict[str, Any]]:
             numbers = {"place": place, "view": view, "move": move._asdict(), **ringing_numbers(ringing[:, :, k])}
             scenes.append({**numbers, "motions": [runs.summary(each) for each in shown]})
             if names := runs.SIGNALS.get((place, view)):
-                without, suppressed = ({name: thinned(each[name]) for name in each} for each in shown)
+                without, suppressed = (  # fewer samples and digits than there are, for a picture
+                    {name: [float(f"{value:.4g}") for value in each[name][::3]] for name in each} for each in shown
+                )
                 references = [f"{name}_reference" for name in names if f"{name}_reference" in without]
                 signals[f"{place}, {view}"] = {
                     **{name: without[name] for name in ("time", *references)},
@@ -98,11 +100,6 @@ def ringing_numbers(pair: Floats) -> dict[str, Any]:
         "answer": runs.answer(left["end"]),
         "left": np.isinf(pair[:, 1]).tolist(),
     }
-
-
-def thinned(values: Floats) -> list[float]:
-    """Values for a picture: fewer samples and digits than there are."""
-    return [float(f"{value:.4g}") for value in values[::3]]
 
 
 def vary(usual: Mapping[str, Any]) -> list[dict[str, Any]]:

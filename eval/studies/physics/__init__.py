@@ -243,17 +243,11 @@ def compare_engines(arms: int, seed: int, samples: int) -> list[dict[str, Any]]:
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Kinds of motion, and how the template writes orders and distances."""
-    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres}
-
-
-def _order(errors: list[float]) -> str:
-    """Observed order: the mean of log2 of the ratios of errors at a halved step."""
-    return f"{np.log2(errors[0] / errors[-1]) / (len(errors) - 1):.2f}"
-
-
-def _millimetres(distance: float) -> str:
-    value = 1e3 * distance
-    return f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}"
+    return {
+        "regimes": REGIMES,
+        "order": lambda errors: f"{np.log2(errors[0] / errors[-1]) / (len(errors) - 1):.2f}",  # by halved steps
+        "millimetres": lambda distance: f"{1e3 * distance:{'.2g' if distance >= 1e-7 else '.0e'}}",
+    }
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
