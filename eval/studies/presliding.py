@@ -7,7 +7,7 @@ breakaway torque are the same.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, record
 from beltarm_env.task.seeds import PRESLIDING
-from eval.comparison.methods import chosen
+from eval.comparison.methods import PRIMARY, chosen
 from eval.comparison.rollouts import shipped_controller, side_by_side
 from eval.comparison.statistics import LEAST_SCENARIOS, estimate, interquartile_mean, paired
 from eval.reference.lugre import STEPS, LuGreArms
@@ -57,7 +57,7 @@ class Options(StudyOptions):
     """Controllers to run. Default: all of the study."""
     deflections: tuple[float, ...] = (1.0, 3.0, 10.0, 20.0)
     """Breakaway deflections at the motor [mrad]; over the gear ratio at the joint."""
-    arms: int = 48
+    arms: int = 144
     """Arms of the training ranges, 4 to 1000."""
     check_deflections: tuple[float, ...] = (3.0, 1.0, 0.3, 0.1, 0.03)
     """Deflections of the check that a motor which gives little behaves like one that does not [mrad]."""
@@ -113,7 +113,13 @@ def measure(options: Options) -> dict[str, Any]:
             one_sided = [pair for pair in changed if pair not in turned]
             both = {"metric": metric, "against": other, "friction": friction}
             pairs.append(both | {"reversed": turned, "one_sided": one_sided})
+    asked = [each for each in product(JUDGED, frictions) if {*PRIMARY} <= {*names}]
+    answers = [paired(*(results[name, friction][metric][None] for name in PRIMARY)) for metric, friction in asked]
     return {
+        "primary": [
+            {"metric": metric, "friction": friction, "verdict": answer.verdict, **asdict(answer.difference)}
+            for (metric, friction), answer in zip(asked, answers, strict=True)
+        ],
         "arms": options.arms,
         "checked": options.checked,
         "first_seed": PRESLIDING.first,
@@ -196,15 +202,6 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     names, frictions, rows = data["controllers"], data["frictions"], _rows(data)
     giving = frictions[2:]
     steady = [name for name in names if not any(rows[name, friction]["left"] for friction in frictions)]
-    others = [name for name in names if name not in steady]
-
-    def changes(group: Sequence[str], friction: str, metric: str = "cost") -> list[tuple[str, float]]:
-        """Controllers with their changes, the largest first."""
-        found = [(name, rows[name, friction][f"{metric}_change"]["iqm"]) for name in group]
-        return sorted(found, key=lambda entry: -abs(entry[1]))
-
-    def largest(friction: str, metric: str) -> list[tuple[str, float]]:
-        return [*changes(steady, friction, metric)[:1], *changes(others, friction, metric)[:1]]
 
     def ranking(metric: str, friction: str) -> list[str]:
         return sorted(names, key=lambda name: rows[name, friction][metric]["iqm"])
@@ -225,8 +222,9 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "motor": MOTOR,
         "reversals": sum(len(pair["reversed"]) for pair in judged),
         "where": list(dict.fromkeys(pair["friction"] for pair in judged if pair["reversed"])),
-        "largest": max((change for each in giving for _, change in changes(steady, each)), key=abs, default=0.0),
-        "pairs": [pair | {"largest": largest(pair["friction"], pair["metric"])} for pair in data["pairs"]],
+        "largest": max(
+            (rows[name, each]["cost_change"]["iqm"] for each in giving for name in steady), key=abs, default=0
+        ),
         "titles": {metric: METRICS[metric].title for metric in JUDGED},
         "rows": rows,
         "ranking": ranking,
