@@ -128,6 +128,7 @@ class ResidualController:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
 
         Raises:
+            TypeError: If the policy's memory cannot be told apart by arms where only some of them are due.
             ValueError: If observations, state, `episode_start` or the policy's residuals have another shape, or an
                 observation is not finite. Of a residual that is no number the action is none either.
         """
@@ -161,11 +162,21 @@ def _where(due: Flags, following: Any, before: Any) -> Any:
     """Memory of a policy: the new one of arms for which it decided, the old one of all others.
 
     Of the project's policies it is an array with the arms first, of one with an LSTM by sb3-contrib a tuple of arrays,
-    each with the layers before the arms. Of any other, and at first, it is the new one.
+    each with the layers before the arms. Of one that remembers nothing yet, and where all decided, it is the new one.
+
+    Raises:
+        TypeError: If it is anything else, of which the arms cannot be told apart.
     """
     if isinstance(before, tuple):
         return tuple(np.where(due[:, None], new, old) for new, old in zip(following, before, strict=True))
-    return chosen(due, following, before) if isinstance(before, np.ndarray) else following
+    if isinstance(before, np.ndarray):
+        return chosen(due, following, before)
+    if before is None or due.all():
+        return following
+    raise TypeError(
+        f"{due.sum()} of {len(due)} arms are due, and of a policy's memory of type {type(before).__name__} the arms "
+        "cannot be told apart: make it an array with the arms first, or a tuple of arrays, layers before arms"
+    )
 
 
 class GuardedResidualController(GuardedController):
