@@ -18,6 +18,7 @@ from agents.residual.knowledge import ENTRIES, InformedBase, InformedMemory, Kno
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning, chosen, one_or_many, require_memory, require_shape, warn_if_amid_a_move
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller, require_controller
@@ -45,6 +46,18 @@ class ResidualSettings:
             raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
         if self.knowledge not in ENTRIES:
             raise ValueError(f"knowledge must be one of {', '.join(ENTRIES)}, got {self.knowledge!r}")
+
+    def check_moves(self, moves: int) -> None:
+        """Check that holds end where moves do: as a controller, an agent decides anew at the start of each.
+
+        Raises:
+            ValueError: If a hold would last into the next move.
+        """
+        if moves > 1 and EPISODE_STEPS % self.hold:
+            raise ValueError(
+                f"residual hold must divide {EPISODE_STEPS}, the samples of a move, where an episode has several, "
+                f"got {self.hold}: choose one such as 4, 8 or 12"
+            )
 
 
 @inlined

@@ -27,6 +27,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles], RecordConstru
     Raises:
         TypeError: If it is no arm, or the base is no controller.
         ValueError: If a wrapper has changed what the arm shows or is told: the base would read and command other units.
+            If a hold lasts into the next move, see `ResidualSettings.check_moves`.
     """
 
     def __init__(self, env: gym.Env[Singles, Singles], base: Controller, settings: ResidualSettings) -> None:
@@ -43,6 +44,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles], RecordConstru
             raise ValueError(f"the base needs the arm's own observations and actions, got {env}: put ResidualEnv first")
         check_profile(base, self._arm.profile)
         check_sensors(base, self._arm.sensors)
+        settings.check_moves(self._arm.num_moves)
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -113,6 +115,7 @@ class ResidualVecEnv(VecEnv):
             raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
         check_profile(base, env.profile)
         check_sensors(base, env.sensors)
+        settings.check_moves(env.num_moves)
         self.env = env
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings

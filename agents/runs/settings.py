@@ -133,6 +133,7 @@ class RunConfig(WithStorage):
             raise ValueError(f"{self.out} is the folder of a policy, not of a run: choose another --out")
         if self.resume and self.overwrite:
             raise ValueError("--resume continues a run and --overwrite deletes it: give only one of them")
+        self.residual.check_moves(self.moves)
         make_base(self.base)
         self.spec().shape()
         try:

@@ -77,6 +77,11 @@ def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Pa
     assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
 
 
+OUT_OF_RANGE = [
+    *(("ppo", "epochs", 0), ("ppo", "teacher_rounds", -1), ("ppo", "critic_steps", -1)),
+    *(("sac", "buffer_size", 10), ("sac", "exploration", 0.0), ("sac", "tau", 2.0), ("recurrent_ppo", "lstm_width", 0)),
+    *(("student", "rounds", 0), ("student", "remembered", 0), ("student", "gru_width", -1)),
+]
 BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"base": "papre"}, "'papre'.*'paper'"),
     ("ppo", {"device": "cuda:99"}, "--device cuda:99.*--device cpu"),
@@ -88,17 +93,9 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
     ("ppo", {"resume": True}, "nothing to resume"),
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
-    ("ppo", {"epochs": 0}, "--epochs"),
-    ("ppo", {"teacher_rounds": -1}, "--teacher-rounds"),
     ("ppo", {"critic_steps": 257}, "--critic-steps must lie within 0 and 256"),
-    ("ppo", {"critic_steps": -1}, "--critic-steps"),
-    ("sac", {"buffer_size": 10}, "--buffer-size"),
-    ("sac", {"exploration": 0.0}, "--exploration"),
-    ("sac", {"tau": 2.0}, "--tau"),
-    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width"),
-    ("student", {"rounds": 0}, "--rounds"),
-    ("student", {"remembered": 0}, "--remembered"),
-    ("student", {"gru_width": -1}, "--gru-width"),
+    *((name, {option: value}, f"--{option.replace('_', '-')}") for name, option, value in OUT_OF_RANGE),
+    *((name, {"hold": 7, "moves": 2}, "hold must divide 1200.* 7: choose") for name in ALGORITHMS),
     ("student", {"nominal": ("payload",)}, "--nominal.*'payload'; did you mean 'payload_mass'"),
     ("student", {"nominal": ("presliding_deflection",)}, "--nominal"),  # of a single move it is anyway
     ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),

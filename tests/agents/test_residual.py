@@ -75,6 +75,10 @@ class Silent:
         return np.zeros((len(observation), 1), np.float32), state
 
 
+def both(arms: tuple[Any, Any], base: Any, settings: ResidualSettings = SETTINGS) -> list[Callable[[], object]]:
+    return [partial(ResidualVecEnv, arms[0], base, settings), partial(ResidualEnv, arms[1], base, settings)]
+
+
 def test_what_does_not_fit_is_refused():
     paper, batch, single = CONTROLLERS["paper"], many(3), single_env()
     other = ResidualController(CONTROLLERS["ei"](params=ArmParams(gear_ratio=100.0)), Silent(), SETTINGS)
@@ -82,9 +86,10 @@ def test_what_does_not_fit_is_refused():
     felt: Any = WITH_ACCELEROMETER["preview"]()
     changed = NormalizeObservation(BeltArmEnv()), RescaleAction(BeltArmEnv(), np.float32(-2), np.float32(2))
     normalised: Any = type("Normalised", (Silent,), {"get_vec_normalize_env": lambda self: self, "norm_obs": True})()
-    flat: Any = ResidualController(
-        paper(), cast("Any", SimpleNamespace(predict=lambda o, *_: (o[:, 0], None))), SETTINGS
-    )
+    flat, loose = (cast("Any", SimpleNamespace(predict=lambda o, *_, n=n: (o[:, n], {}))) for n in (0, [0]))
+    flat, loose = (ResidualController(paper(), policy, SETTINGS) for policy in (flat, loose))
+    seen, shifts = np.full((3, 26), 1e-5, np.float32), (many(2, moves=2).env, BeltArmEnv(moves=2))
+    begun = loose.predict(seen)[1]
     refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
     single.reset(seed=0)
     batch.reset()
@@ -97,16 +102,16 @@ def test_what_does_not_fit_is_refused():
         *((("put ResidualEnv first",), partial(ResidualEnv, each, paper(), SETTINGS)) for each in changed),
         (("predict", "'paper'"), lambda: ResidualController(cast("Any", "paper"), Silent(), SETTINGS)),
         (("VecNormalize",), lambda: ResidualController(paper(), normalised, SETTINGS)),
-        (("(3, 1)", "(3,)"), lambda: flat.predict(np.full((3, 26), 1e-5, np.float32))),
+        (("(3, 1)", "(3,)"), lambda: flat.predict(seen)),
+        (("1 of 3 arms", "dict", "array"), lambda: loose.predict(seen + 0.1, begun, np.array([True, False, False]))),
         (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
         *(((), partial(single.step, cast("Any", residual))) for residual in ([math.nan], [0.1, 0.2], "0.5")),
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),
         (("gear_ratio 100.0", "88.0"), lambda: single.reset(options={"params": {"gear_ratio": 100.0}})),
         (("'scurve'", "'trapezoid'"), lambda: rollout(other, 2, profile="scurve")),
-        (("'scurve'",), lambda: ResidualVecEnv(batch.env, CONTROLLERS["zv"](), SETTINGS)),
-        (("'scurve'",), lambda: ResidualEnv(single.env, CONTROLLERS["zv"](), SETTINGS)),
-        (("'accelerometer'", "'encoder'"), lambda: ResidualVecEnv(weak, felt, SETTINGS)),
-        (("'accelerometer'", "'encoder'"), lambda: ResidualEnv(BeltArmEnv(), felt, SETTINGS)),
+        *((("'scurve'",), call) for call in both((batch.env, single.env), CONTROLLERS["zv"]())),
+        *((("'accelerometer'", "'encoder'"), call) for call in both((weak, BeltArmEnv()), felt)),
+        *((("1200", "got 7", "choose"), call) for call in both(shifts, paper(), OUTWARD)),
         (("torque_limit 0.2", "0.3"), lambda: ResidualVecEnv(weak, paper(), SETTINGS).reset()),
     ]
     for words, call in calls:
