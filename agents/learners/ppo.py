@@ -52,6 +52,11 @@ class OnPolicyConfig(ReinforcementConfig):
     initial_log_std: float = -1.0
     """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
 
+    @property
+    def worst_reward(self) -> float:
+        """Reward floor: the cost of three holds at its bound; more would drown the advantages of all other arms."""
+        return 3 * MAX_COST * self.reward_scale
+
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
@@ -160,11 +165,6 @@ class PpoConfig(OnPolicyConfig):
     def make_learner(self) -> ModelLearner:
         """Make an untrained learner."""
         return TaughtLearner(self) if self.teacher_rounds else super().make_learner()
-
-    @property
-    def worst_reward(self) -> float:
-        """Reward floor: the cost of three holds at its bound; more would drown the advantages of all other arms."""
-        return 3 * MAX_COST * self.reward_scale
 
     def make_model(self, env: ResidualVecEnv) -> PPO:
         """Make an untrained model, whose learning rate will fall linearly to zero."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import dataclass
 from io import BytesIO
@@ -51,7 +50,7 @@ class ReinforcementConfig(RunConfig):
     @property
     def worst_reward(self) -> float:
         """Reward floor, as a positive number, see `agents.residual.env.ResidualVecEnv`."""
-        return math.inf
+        raise NotImplementedError
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""

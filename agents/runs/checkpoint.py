@@ -36,7 +36,7 @@ from baselines.tools.options import note_options
 from baselines.tools.provenance import software
 from baselines.tools.schema import in_a_line, loads
 
-VERSION = 10
+VERSION = 11
 """Format of checkpoints; raise it where a snapshot, what is learned from, or the place of a pickled class changes."""
 CHECKPOINT, CONFIG, COMMAND = Path("checkpoint.pkl"), Path("config.json"), Path("command.json")
 """Within the folder of a run; that of several has the last, the options of their command."""

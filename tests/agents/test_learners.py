@@ -54,7 +54,7 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
 
 def test_what_leaving_costs(tmp_path: Path):
     """Cut: for PPO to the highest cost of three holds, off-policy to the highest cost for ever."""
-    for name, holds in (("ppo", 3), ("sac", 1 / (1 - 0.9))):
+    for name, holds in (("ppo", 3), ("recurrent_ppo", 3), ("sac", 1 / (1 - 0.9))):
         env = tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none").make_env()
         env.seed(0)
         env.reset()
