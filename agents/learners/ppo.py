@@ -157,10 +157,10 @@ class PpoConfig(OnPolicyConfig):
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, self.total_steps))
+        super().check()
+        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, self.total_steps - 1))  # the rest is the actor's
         if self.teacher_rounds:
             self.student().check()
-        super().check()
 
     def make_learner(self) -> ModelLearner:
         """Make an untrained learner."""

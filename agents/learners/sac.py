@@ -48,8 +48,9 @@ class SacConfig(ReinforcementConfig):
     """Agent steps in each gradient step."""
     gradient_steps: int = 4
     """Gradient steps after each agent step of all arms."""
-    learning_starts: int = 25_000
-    """Agent steps before the first gradient step. 25000 are half an episode of each arm."""
+    learning_starts: int | None = None
+    """Agent steps before the first gradient step. Default: 25000, which are half an episode of each arm, or half of
+    --total-steps if that is less."""
     noise: float = 0.0
     """Standard deviation of noise on the actions, on top of the policy's own exploration."""
     exploration: float = 0.4
@@ -61,6 +62,11 @@ class SacConfig(ReinforcementConfig):
     tau: float = 0.01
     """How far target networks follow in each gradient step, from 0 to 1."""
 
+    def __post_init__(self) -> None:
+        """Fill in the steps before learning starts that stand where none are given."""
+        if self.learning_starts is None:
+            object.__setattr__(self, "learning_starts", min(25_000, self.total_steps // 2))
+
     @property
     def worst_reward(self) -> float:
         """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with."""
@@ -69,7 +75,8 @@ class SacConfig(ReinforcementConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
-        require_bounds(self, batch_size=(1, None), gradient_steps=(1, None), learning_starts=(0, None))
+        require_bounds(self, batch_size=(1, None), gradient_steps=(1, None))
+        require_bounds(self, learning_starts=(0, self.total_steps - 1))  # else the run would end before it learns
         require_bounds(self, noise=(0, None), tau=(0, 1), buffer_size=(max(self.arms, self.batch_size), None))
         self.positive("tau", "exploration", "initial_entropy_weight")
 
@@ -81,7 +88,7 @@ class SacConfig(ReinforcementConfig):
             **self.arguments(optimizer_class=ClippedAdam),
             learning_rate=self.learning_rate,
             buffer_size=self.buffer_size,
-            learning_starts=self.learning_starts,
+            learning_starts=self.learning_starts or 0,
             batch_size=self.batch_size,
             tau=self.tau,
             train_freq=(1, "step"),

@@ -78,7 +78,7 @@ def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Pa
 
 
 OUT_OF_RANGE = [
-    *(("ppo", "epochs", 0), ("ppo", "teacher_rounds", -1), ("ppo", "critic_steps", -1)),
+    *(("ppo", "epochs", 0), ("ppo", "teacher_rounds", -1)),
     *(("sac", "buffer_size", 10), ("sac", "exploration", 0.0), ("sac", "tau", 2.0), ("recurrent_ppo", "lstm_width", 0)),
     *(("student", "rounds", 0), ("student", "remembered", 0), ("student", "gru_width", -1)),
 ]
@@ -93,7 +93,8 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
     ("ppo", {"resume": True}, "nothing to resume"),
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
-    ("ppo", {"critic_steps": 257}, "--critic-steps must lie within 0 and 256"),
+    *(("ppo", {"critic_steps": steps}, "--critic-steps must lie within 0 and 255") for steps in (256, -1)),
+    ("sac", {"learning_starts": 256}, "--learning-starts must lie within 0 and 255"),
     *((name, {option: value}, f"--{option.replace('_', '-')}") for name, option, value in OUT_OF_RANGE),
     *((name, {"hold": 7, "moves": 2}, "hold must divide 1200.* 7: choose") for name in ALGORITHMS),
     ("student", {"nominal": ("payload",)}, "--nominal.*'payload'; did you mean 'payload_mass'"),
