@@ -158,7 +158,7 @@ class PpoConfig(OnPolicyConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
-        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, self.total_steps - 1))  # the rest is the actor's
+        require_bounds(self, teacher_rounds=(0, None), critic_steps=(0, self.total_steps - 1))
         if self.teacher_rounds:
             self.student().check()
 

@@ -64,7 +64,8 @@ class TuningConfig(SideBySide):
     trials: int = 40
     """Trials in all, with those from before an interruption."""
     samples: int = 6_000_000
-    """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated ten times."""
+    """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated at each
+    tenth of them, where its rollouts are no longer than that."""
     seed: int = 0
     """Seed of the search. Trial k trains with seed 50 + k modulo 50; those that were interrupted do not count."""
     base: str = "paper"
@@ -117,7 +118,7 @@ class TuningConfig(SideBySide):
             options["hidden"] = [int(width) for width in settings["hidden"].split()]
         steps = self.samples // options.get("hold", kind.hold)
         options |= {"arms": self.arms, "validation_arms": self.validation_arms, "total_steps": steps}
-        options["validation_every"] = max(steps // _VALIDATIONS, 1)
+        options["validation_every"] = -(-steps // _VALIDATIONS)
         return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **shared, **options)
 
     def given(self) -> dict[str, Any]:
@@ -219,7 +220,7 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
         run = config.run(trial.params, studies.place(study, trial))
         costs: list[float] = []
         try:
-            train(run, Channel(partial(_judge, trial, costs), channel.stop))
+            train(run, Channel(partial(_judge, trial, run, costs), channel.stop))
             cost = min(costs)
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
@@ -235,15 +236,15 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
             shutil.rmtree(run.out, ignore_errors=True)
 
 
-def _judge(trial: Trial, costs: list[float], news: News) -> None:
-    """Add the cost of a validation to those of a trial, and end the trial if it is worse than most.
+def _judge(trial: Trial, run: ReinforcementConfig, costs: list[float], news: News) -> None:
+    """Add the cost of a validation to those of a trial, and end the trial if it is worse than most at that tenth.
 
-    That of the untrained policy does not count: all trials would have it.
+    That of the untrained policy does not count: all trials would have it. A long rollout may pass over a tenth.
     """
     if news.cost is None or news.steps == 0:
         return
     costs.append(news.cost)
-    trial.report(news.cost, len(costs))
+    trial.report(news.cost, _VALIDATIONS if news.steps >= run.length else news.steps // run.validation_every)
     if trial.should_prune():
         raise optuna.TrialPruned
 
