@@ -12,14 +12,14 @@ is not used, since training needs no package of the Hub: it writes the scores of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
 
-from agents.policy.description import BundleError, BundleSpec, spec_of
+from agents.policy.description import NO_SETTINGS, BundleError, BundleSpec, spec_of
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
 from agents.residual.bases import make_base
@@ -133,6 +133,20 @@ def are_alike(*specs: BundleSpec) -> bool:
     """Whether policies differ in their weights, and in how they came about, alone."""
     bare = [replace(spec, provenance={}) for spec in specs]
     return all(spec == bare[0] for spec in bare)
+
+
+def told_apart(ours: BundleSpec, theirs: BundleSpec) -> str | None:
+    """What keeps two policies from being training seeds of one method, in words; None if they are.
+
+    They have another seed, and all else alike. What only one of them says of its training does not count.
+    """
+    said, others = (
+        {**spec.provenance.get("config", {}), **asdict(replace(spec, provenance={}))} for spec in (ours, theirs)
+    )
+    for name in sorted((said.keys() & others.keys()) - {*NO_SETTINGS}, key=lambda name: (name == "seed", name)):
+        if (said[name] == others[name]) == (name == "seed"):
+            return in_a_line(f"{name} {said[name]} and {others[name]}", 80)
+    return None
 
 
 # Card

@@ -29,6 +29,8 @@ MADE_FOR = {"format": "beltarm-policy", "version": 4, "layout": LAYOUT, "edition
 """What must be the same here for a policy to be used."""
 ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}
 """Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
+NO_SETTINGS = ("out", "seeds", "jobs", "engine", "address", "storage", "threads", "device", "resume", "overwrite")
+"""Options of a training that say where and how it is computed, not what is learned."""
 _COUNT, _TIME = (kind | {"minimum": 0, "maximum": 10**15} for kind in (INTEGER, NUMBER))
 _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}

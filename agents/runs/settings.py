@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import torch
 
 from agents.policy.bundle import POLICY_FILE
-from agents.policy.description import BundleSpec
+from agents.policy.description import NO_SETTINGS, BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
@@ -25,10 +25,7 @@ from beltarm_env.task.shift import MOST_MOVES
 if TYPE_CHECKING:
     from agents.runs.training import Learner
 
-MAY_CHANGE = (
-    *("out", "seeds", "jobs", "engine", "address", "storage", "threads", "device", "resume", "overwrite"),
-    *("total_steps", "validation_every", "rounds"),
-)
+MAY_CHANGE = (*NO_SETTINGS, "total_steps", "validation_every", "rounds")
 """Options that may differ when a run is resumed; all others identify the run."""
 
 

@@ -6,11 +6,11 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, islice
+from itertools import combinations, groupby, islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from agents.policy.bundle import POLICIES, POLICY_FILE, are_alike, load_controller, read_bundle, read_spec
+from agents.policy.bundle import POLICIES, POLICY_FILE, load_controller, read_bundle, read_spec, told_apart
 from agents.policy.description import BundleSpec
 from agents.residual.controller import behind_guard
 from baselines import CONTROLLERS, DOMINATED
@@ -57,10 +57,8 @@ class Method:
         return "full" if self.kind == "privileged" else "encoder"
 
     def batches(self, episodes: int) -> list[range]:
-        """Training seeds that run in one batch each: those of alike policies, as long as a batch stays small."""
-        seeds = range(len(self.sources))
-        alike = len(seeds) > 1 and are_alike(*(read_spec(source)[0] for source in self.sources))
-        together = max(1, LARGEST_BATCH // episodes) if alike else 1
+        """Training seeds that run in one batch each, as long as a batch stays small."""
+        seeds, together = range(len(self.sources)), max(1, LARGEST_BATCH // episodes)
         return [seeds[k : k + together] for k in seeds[::together]]
 
     def controller(self, seed: int, *arms: Sequence[ArmParams]) -> Controller:
@@ -194,8 +192,8 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
 
     Raises:
         BundleError: If a policy is missing or damaged.
-        ValueError: If a policy is twice in a method, needs other sensors than the encoder, or is an archive of
-            Stable-Baselines3.
+        ValueError: If a policy is twice in a method, or two in it differ in more than their training seed or not in
+            it, or one needs other sensors than the encoder, or is an archive of Stable-Baselines3.
     """
     grouped: dict[str, list[tuple[Path, BundleSpec]]] = {}
     for policy in map(str, policies):
@@ -225,11 +223,12 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
 def _learned(name: str, members: list[tuple[Path, BundleSpec]]) -> Method:
     if len({folder.is_relative_to(POLICIES) for folder, _ in members}) > 1:
         raise ValueError(f"{name!r} is the name of a shipped method: give your policy another, as NAME=FOLDER")
-    bases = {spec.base for _, spec in members}
-    if len(bases) > 1:
-        raise ValueError(f"the policies of {name} correct different controllers: {', '.join(sorted(bases))}")
+    for (folder, spec), (other, theirs) in combinations(members, 2):
+        if reason := told_apart(spec, theirs):
+            found = f"{folder} and {other} have {reason}, and are no two training seeds of {name}"
+            raise ValueError(f"{found}: give each method a name of its own, as NAME=FOLDER")
     runs = [(spec.provenance.get("run", {}), spec.residual.hold) for _, spec in members]
-    base = bases.pop()
+    base = members[0][1].base
     base_steps = _tuning_of(read_file().get(base or "", {})).get("simulator_steps", [])
     training = {
         "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in runs],
