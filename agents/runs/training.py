@@ -86,7 +86,8 @@ class TrainingMonitor:
     """Validates a run, keeps its best policy and a checkpoint, reports progress, and stops on request.
 
     A learner calls it between two updates, where the state of the run is complete. The channel gets news, twice a
-    second at most and after every validation. The policies' provenance has the command that began the run.
+    second at most and after every validation. The policies' provenance has the command that began the run, and those
+    that gave it another length.
     """
 
     def __init__(self, config: RunConfig, folder: RunFolder, channel: Channel, command: str) -> None:
@@ -103,11 +104,13 @@ class TrainingMonitor:
                     f"the run in {folder.folder} has {self.learner.steps} agent steps already, more than it is now "
                     f"to end at, {config.length}: give a larger --total-steps or --rounds"
                 )
+        commands = self.progress.setdefault("command", command)
+        if self.progress.get("length", config.length) != config.length:
+            commands = self.progress["command"] = f"{commands} && {command}"
         self.progress["length"] = config.length
         folder.note(config, self.progress["curve"] if resumed else None)
         options = json.loads(json.dumps(asdict(config), default=str))
-        begun_by = self.progress.setdefault("command", command)
-        self.spec = config.spec(command=begun_by, **written_by(), config=options)
+        self.spec = config.spec(command=commands, **written_by(), config=options)
         logs, suffix = str(folder.folder), f"_from_{self.learner.steps}" if resumed else ""
         self.logger = Logger(logs, [make_output_format(kind, logs, suffix) for kind in ("csv", "tensorboard")])
         self._report(self.learner.steps, self.progress["scores"] or "validating the base and the untrained policy")

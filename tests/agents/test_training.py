@@ -253,7 +253,8 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, 
     end = run_in(config, "python train/ppo.py --resume", config.out, Channel())
     assert end.steps == 128 and [path.name for path in config.out.rglob(".*")] == [".lock"]
     assert weights(tmp_path / "run/last") == weights(finished[0] / "last")
-    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py", "what began it"
+    run_in(replace(config, total_steps=192), "longer", config.out, Channel())
+    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py && longer", "what made it"
 
 
 def test_progress_is_reported(finished: Any, tmp_path: Path):
