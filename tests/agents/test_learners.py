@@ -162,11 +162,10 @@ def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path:
 
 def train_at_once(config: ReinforcementConfig, channel: Channel) -> None:
     """Stand for a training: its costs follow from settings and seed alone."""
-    for tenth in range(5):
+    for steps in range(0, 5 * config.validation_every, config.validation_every):
         if channel.stop.made:
             raise Interrupted
-        cost = 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + tenth)
-        channel.report(News(tenth * config.validation_every, "", cost))
+        channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
 
 
 def test_a_search_interrupted_again_and_again_is_the_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

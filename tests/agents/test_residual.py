@@ -89,7 +89,6 @@ def test_what_does_not_fit_is_refused():
     flat, loose = (cast("Any", SimpleNamespace(predict=lambda o, *_, n=n: (o[:, n], {}))) for n in (0, [0]))
     flat, loose = (ResidualController(paper(), policy, SETTINGS) for policy in (flat, loose))
     seen, shifts = np.full((3, 26), 1e-5, np.float32), (many(2, moves=2).env, BeltArmEnv(moves=2))
-    begun = loose.predict(seen)[1]
     refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
     single.reset(seed=0)
     batch.reset()
@@ -103,7 +102,7 @@ def test_what_does_not_fit_is_refused():
         (("predict", "'paper'"), lambda: ResidualController(cast("Any", "paper"), Silent(), SETTINGS)),
         (("VecNormalize",), lambda: ResidualController(paper(), normalised, SETTINGS)),
         (("(3, 1)", "(3,)"), lambda: flat.predict(seen)),
-        (("1 of 3 arms", "dict", "array"), lambda: loose.predict(seen + 0.1, begun, np.array([True, False, False]))),
+        (("1 of 3 arms", "dict", "array"), lambda: loose.predict(seen + 0.1, loose.predict(seen)[1], np.arange(3) < 1)),
         (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
         *(((), partial(single.step, cast("Any", residual))) for residual in ([math.nan], [0.1, 0.2], "0.5")),
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),

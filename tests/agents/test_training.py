@@ -179,9 +179,7 @@ def test_damaged_checkpoints_and_settings(copied: Path):
     for text in ("", "[]", '{"identity": 3}', '{"identity": {"options": 3}}'):
         settings.write_text(text)
         refused(ValueError, ("config.json", "damaged", "--out"), lambda: run(resumed(copied)))
-    content = json.loads(config)
-    content["identity"]["base_hash"] = "x"
-    settings.write_text(json.dumps(content))
+    settings.write_text(config.replace(json.loads(config)["identity"]["base_hash"], "x"))
     refused(ValueError, ("gains of the base",), lambda: run(resumed(copied)))
 
 
@@ -198,8 +196,7 @@ def test_checkpoints_of_another_version_are_not_given_up(change: Any, words: str
     content = pickle.loads((copied / "checkpoint.pkl").read_bytes())
     change(content)
     (copied / "checkpoint.pkl").write_bytes(sealed(pickle.dumps(content)))
-    noted = json.loads((copied / "config.json").read_text())
-    noted["written_by"] = {"version": "9.9", "commit": "abc123"}
+    noted = json.loads((copied / "config.json").read_text()) | {"written_by": {"version": "9.9", "commit": "abc123"}}
     (copied / "config.json").write_text(json.dumps(noted))
     before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
     with pytest.raises(ValueError, match=rf"\(.*{words}.*9\.9 at commit abc123") as end:
@@ -232,9 +229,8 @@ def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(
     many.mkdir()
     (many / "seed1").write_text("a file")
     code, errors = stopped(lambda: main(PpoConfig, None), ("--out", "many", "--seeds", "2", *TINY), tmp_path)
-    reported = errors.splitlines()
-    assert code == 2 and len(reported) == 2
-    assert "seed1: cannot write to" in reported[0] and "1 other runs" in reported[1]
+    failed, others = errors.splitlines()
+    assert code == 2 and "seed1: cannot write to" in failed and "1 other runs" in others
     assert weights(many / "seed0/last") == weights(whole_of("ppo").config.out / "last")
     with Workplace(tiny("ppo", many), many) as local:
         refused(ValueError, ("seed0 already holds a run",), lambda: runs_of(tiny("ppo", many, seeds=2), local))
