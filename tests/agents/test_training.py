@@ -18,9 +18,9 @@ import torch
 from commands import stopped
 from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import NAMES, TINY, StopAfter, run, same_policies, tiny, weights
+from trainings import NAMES, OWN, TINY, StopAfter, run, same_policies, tiny, weights
 
-from agents.learners.ppo import PpoConfig
+from agents.learners.ppo import ALONE, PpoConfig
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.bundle import load_controller, read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
@@ -224,18 +224,18 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.slow
-def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(whole_of: Any, tmp_path: Path):
-    many = tmp_path / "many"
+def test_several_seeds_give_the_runs_that_they_give_alone_beside_one_that_fails(tmp_path: Path):
+    many, told = tmp_path / "many", {**ALONE, **OWN["ppo"]}
     many.mkdir()
     (many / "seed1").write_text("a file")
     code, errors = stopped(lambda: main(PpoConfig, None), ("--out", "many", "--seeds", "2", *TINY), tmp_path)
     failed, others = errors.splitlines()
     assert code == 2 and "seed1: cannot write to" in failed and "1 other runs" in others
-    assert weights(many / "seed0/last") == weights(whole_of("ppo").config.out / "last")
-    with Workplace(tiny("ppo", many), many) as local:
-        refused(ValueError, ("seed0 already holds a run",), lambda: runs_of(tiny("ppo", many, seeds=2), local))
+    assert weights(many / "seed0/last") == weights(run(tiny("ppo", tmp_path / "alone", **told)).config.out / "last")
+    with Workplace(tiny("ppo", many, **told), many) as local:
+        refused(ValueError, ("seed0 already holds a run",), lambda: runs_of(tiny("ppo", many, **told, seeds=2), local))
         (many / "seed1").unlink()
-        going_on = runs_of(tiny("ppo", many, seeds=2, resume=True), local)
+        going_on = runs_of(tiny("ppo", many, **told, seeds=2, resume=True), local)
     assert [each.resume for each in going_on.values()] == [True, False], "one that was waiting begins"
 
 
