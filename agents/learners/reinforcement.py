@@ -40,7 +40,7 @@ class ReinforcementConfig(RunConfig):
     torque_price: float = 25.0
     """Price of a torque change in the reward, as a multiple of the task's price. Validation uses the task's price."""
     validation_every: int = 500_000
-    """Agent steps between validations, each after the rollout that reaches a multiple. It saves a checkpoint."""
+    """Least agent steps between validations, which follow a rollout. Each validation saves a checkpoint."""
 
     @property
     def length(self) -> int:
@@ -182,7 +182,7 @@ class _Pauses(BaseCallback):
         self.monitor.stop_if_asked()
         progress = self.monitor.progress
         if self.num_timesteps >= progress.setdefault("next", self._every):
-            progress["next"] = (self.num_timesteps // self._every + 1) * self._every
+            progress["next"] = self.num_timesteps + self._every
             self.monitor.evaluate()
 
     def _on_rollout_end(self) -> None:

@@ -64,8 +64,8 @@ class TuningConfig(SideBySide):
     trials: int = 40
     """Trials in all, with those from before an interruption."""
     samples: int = 6_000_000
-    """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated at each
-    tenth of them, where its rollouts are no longer than that."""
+    """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated after
+    a tenth of them or little more, as its rollouts end."""
     seed: int = 0
     """Seed of the search. Trial k trains with seed 50 + k modulo 50; those that were interrupted do not count."""
     base: str = "paper"
@@ -239,7 +239,7 @@ def run_trials(config: TuningConfig, worker: int, channel: Channel, storage: Any
 def _judge(trial: Trial, run: ReinforcementConfig, costs: list[float], news: News) -> None:
     """Add the cost of a validation to those of a trial, and end the trial if it is worse than most at that tenth.
 
-    That of the untrained policy does not count: all trials would have it. A long rollout may pass over a tenth.
+    That of the untrained policy does not count: all trials would have it. Long rollouts pass over some tenths.
     """
     if news.cost is None or news.steps == 0:
         return

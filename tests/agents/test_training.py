@@ -254,9 +254,9 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(finished: Any, 
 
 
 def test_progress_is_reported(finished: Any, tmp_path: Path):
-    baseless, multiples = list[News](), [0, 128, 192, 256]
-    run(tiny("ppo", tmp_path, validation_every=96, base="none"), report=baseless.append)  # by rollouts of 64
-    for (folder, reports), steps, rings in ((finished, [0, 128], True), ((tmp_path, baseless), multiples, False)):
+    baseless: list[News] = []
+    run(tiny("ppo", tmp_path, total_steps=64, validation_every=64, base="none"), report=baseless.append)
+    for (folder, reports), steps, rings in ((finished, [0, 128], True), ((tmp_path, baseless), [0, 64], False)):
         validated = [news for news in reports if news.cost is not None]
         assert [news.steps for news in validated] == steps
         assert all("cost" in news.scores or "of the base" in news.scores for news in validated)
