@@ -72,7 +72,7 @@ class ArmSimulation:
 
         Raises:
             ValueError: If these are more arms than there is room for, which is as many as at the beginning, or `steps`
-                has another shape.
+                has another shape, or is not finite.
         """
         most = len(self.room.blocks) * LANES
         if len(table) > most:
@@ -94,7 +94,7 @@ class ArmSimulation:
             motor_angles: Shape (n,).
 
         Raises:
-            ValueError: If there are not as many as arms.
+            ValueError: If there are not as many as arms, or a number is not finite.
         """
         _require(len(self.limits), motor_angles=motor_angles)
         states = np.zeros((len(motor_angles), self.size))
@@ -109,7 +109,7 @@ class ArmSimulation:
             torques: Commanded for the period [N m], shape (n,); cut at the torque limit.
 
         Raises:
-            ValueError: If there are not as many as arms.
+            ValueError: If there are not as many as arms, or a number is not finite.
         """
         _require(len(self.limits), self.size, states=states, torques=torques)
         states = np.ascontiguousarray(states, np.float64)
@@ -126,9 +126,11 @@ class ArmSimulation:
             samples: How far ahead, in control periods, shape (n,).
 
         Raises:
-            ValueError: If there are not as many as arms.
+            ValueError: If there are not as many as arms, a number is not finite, or a time is negative.
         """
         _require(len(self.limits), self.size, states=states, torques=torques, samples=samples)
+        if np.min(samples, initial=0.0) < 0:
+            raise ValueError(f"samples must not be negative, got {np.min(samples)}: states are simulated forwards")
         states, result = np.ascontiguousarray(states, np.float64), np.empty((len(states), X))
         actions, samples = self._actions(torques), np.ascontiguousarray(samples, np.float64)
         look_ahead_arms(self.room, states, actions, samples, self.model, result)
@@ -140,8 +142,13 @@ class ArmSimulation:
 
 
 def _require(count: int, size: int = 0, **arrays: Floats) -> None:
-    """Refuse, by ValueError, arrays not of shape (count,), states not of (count, size): kernels do not look."""
+    """Refuse, by ValueError, arrays not of shape (count,), states not of (count, size), and all that are not finite.
+
+    Kernels do not look.
+    """
     for name, array in arrays.items():
         shape = (count, size) if name == "states" else (count,)
         if np.shape(array) != shape:
             raise ValueError(f"{name} must have shape {shape}, got {np.shape(array)}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite, got {np.asarray(array)[~np.isfinite(array)][0]}")

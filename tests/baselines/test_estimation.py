@@ -114,8 +114,7 @@ class TestMeasurementEquation:
         mean, place = np.diff(velocity, axis=0) / CONTROL_PERIOD, tip(states[1:], table)
         along = place / np.linalg.norm(place, axis=-1, keepdims=True)
         turned = np.stack([(mean * along).sum(-1), mean[..., 1] * along[..., 0] - mean[..., 0] * along[..., 1]], -1)
-        reported = np.array([unfiltered(now, before)[0] for before, now in pairwise(felt)])
-        errors = reported - turned
+        errors = np.array([unfiltered(now, before)[0] for before, now in pairwise(felt)]) - turned
         assert np.abs(turned[..., 1]).max() > 30 * SPREAD and np.abs(turned[..., 0]).max() > 10 * SPREAD
         assert np.abs(errors.mean(0)).max() < BIAS
         assert errors.std(0) == pytest.approx(SPREAD, rel=0.08)

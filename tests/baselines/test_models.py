@@ -58,6 +58,8 @@ def test_what_does_not_fit_is_refused():
     simulation = ArmSimulation([ArmParams()] * 2)
     for words, call in (
         (("(1, 4)",), lambda: simulation.advance(np.zeros((1, 4)), np.zeros(2))),
+        (("states", "nan"), lambda: simulation.advance(np.full((2, 4), math.nan), np.zeros(2))),
+        (("samples", "-1"), lambda: simulation.ahead(np.zeros((2, 4)), np.zeros(2), np.array([0.0, -1.0]))),
         (("136 arms", "137"), lambda: simulation.set_table(params_table([ArmParams()] * 137))),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: ArmSimulation(ArmParams(), model="mujoco")),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: AdaptiveController(model="mujoco")),
@@ -67,12 +69,10 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_linear_models_are_the_exponential_of_the_continuous_one_and_interpolated():
-    arms = [ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)]
-    for arm in arms:
+    for arm in (ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)):
         tables = linear_arm(arm)
         for k in (0, 17, 45):
-            a, b, _ = state_space(arm, float(ANGLES[k]))
-            held = np.zeros((6, 6))
+            (a, b, _), held = state_space(arm, float(ANGLES[k])), np.zeros((6, 6))
             held[:4, :4], held[:4, 4:5], held[3, 5] = a, b, 1.0
             stepped = expm(CONTROL_PERIOD * held)
             np.testing.assert_allclose(tables.transition[k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
@@ -133,10 +133,7 @@ class TestFriction:
 UNDAMPED = ArmParams(belt_damping_ratio=0.0)
 MOVES = st.builds(
     lambda start, length, duration, share: np.array([start, start + length, duration, share * duration]),
-    st.floats(0.0, 0.6),
-    st.floats(0.26, 0.97),
-    st.floats(0.5, 1.2),
-    st.floats(0.15, 0.35),
+    *(st.floats(*within) for within in ((0.0, 0.6), (0.26, 0.97), (0.5, 1.2), (0.15, 0.35))),
 )
 
 
@@ -156,8 +153,7 @@ def links(corners: Floats, times: Floats) -> Floats:
 def test_a_smoothed_move_begins_and_arrives_as_the_task_and_meets_it_between(move: Floats, first: float, others: float):
     corners = smoothed(move, UNDAMPED, first, others)
     start, goal, duration, ramp = move
-    onsets, spreads = corners[1:5], corners[5:9]
-    ends = onsets + spreads
+    onsets, spreads, ends = corners[1:5], corners[5:9], corners[1:5] + corners[5:9]
     assert onsets[0] == 0.0 and (onsets >= 0).all() and spreads[0] <= 0.5 * ramp + 1e-12
     assert spreads.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
     link = links(corners, np.array([0.0, ends[3], 1.8]))
@@ -169,9 +165,8 @@ def test_a_smoothed_move_begins_and_arrives_as_the_task_and_meets_it_between(mov
         np.testing.assert_allclose(links(corners, cruising)[:, :2], task, atol=1e-12)
 
 
-def integrate(corners: Floats, params: ArmParams) -> tuple[Floats, Floats]:
+def integrate(corners: Floats, p: ArmParams) -> tuple[Floats, Floats]:
     """Times, and states of (5a), (5b) under the flat torque without Coulomb friction: the equations written anew."""
-    p = params
     swing = p.arm_inertia_swing + (2 * p.link_length) ** 2 * p.payload_mass
     damping = 2 * p.belt_damping_ratio * math.sqrt(p.belt_stiffness * (p.arm_inertia + p.arm_inertia_swing))
 

@@ -34,8 +34,7 @@ WEIGHTS = Weights(0.3, 2.0, 20.0)
 
 def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WEIGHTS) -> tuple[float, Floats]:
     """Cost of the plan's own problem, by simulating its linear model along the move: independent of its recursion."""
-    arm = ArmParams()
-    plan = planned(MOVE[0], arm.row(), weights)
+    arm, plan = ArmParams(), planned(MOVE[0], ArmParams().row(), weights)
     tables, move = linear_arm(arm), MoveShape(*MOVE[0])
     references = [reference_at(TRAPEZOID, move, CONTROL_PERIOD * k)[:2] for k in range(EPISODE_STEPS + 1)]
     x, cost, applied, last = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS), 0.0
@@ -61,8 +60,7 @@ def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WE
 
 class TestPlan:
     def test_is_the_optimum_of_its_problem(self):
-        best, torques = linear_run(None)
-        rng = np.random.default_rng(0)
+        (best, torques), rng = linear_run(None), np.random.default_rng(0)
         for _ in range(4):
             other = rng.normal(0, 1e-3, EPISODE_STEPS)
             costs = [linear_run(torques + s * other)[0] for s in (-1, 1)]
@@ -155,8 +153,7 @@ class TestReplanning:
         assert before.renewed(self.situation(19, 0.5, 0.5, 0.5), TASK_WEIGHTS) is before
 
     def test_plans_around_the_end_are_made_from_where_the_arm_is_and_improved(self):
-        before, end = self.begun(), int(MOVES[1, 2] / 0.0015)
-        step = end - end % 20
+        before, step = self.begun(), int(MOVES[1, 2] / 0.0015) // 20 * 20
         now = self.situation(step, 0.0, 0.0, 0.0)
         now.states[1] = ARM.gear_ratio * MOVES[1, 1] + 0.3, 0.0, 0.01, 0.1
         squares, improved = (before.renewed(now, TASK_WEIGHTS, steps).plans[1] for steps in (0, 2))

@@ -105,10 +105,8 @@ KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
 class TestExtendedState:
     @pytest.mark.parametrize("bandwidth", [1.0, 30.0, 400.0])
     def test_its_poles_lie_where_the_bandwidth_says(self, bandwidth: float):
-        gains = observer_gains(bandwidth)
-        step = [observe(ExtendedState(*row), 0.0, 0.0, gains) for row in np.eye(3)]
-        poles = np.linalg.eigvals(np.array(step).T)
-        np.testing.assert_allclose(poles, np.exp(-bandwidth * CONTROL_PERIOD), atol=2e-4)
+        step = [observe(ExtendedState(*row), 0.0, 0.0, observer_gains(bandwidth)) for row in np.eye(3)]
+        np.testing.assert_allclose(np.linalg.eigvals(np.array(step).T), np.exp(-bandwidth * CONTROL_PERIOD), atol=2e-4)
 
     def test_law_cancels_what_is_found_and_places_two_poles(self):
         h, z = 1e-4, np.array([1.0, 0.0, 7.0])
@@ -167,8 +165,7 @@ def residual(weights: np.ndarray, delays: np.ndarray, frequency: float, zeta: fl
         state = state + np.array([0.0, weight])
         if k + 1 < len(delays):
             time = np.linspace(0.0, delays[k + 1] - delays[k], 3)
-            _, _, path = lsim((modal, np.zeros((2, 1)), np.eye(2), np.zeros((2, 1))), np.zeros(3), time, state)
-            state = path[-1]
+            state = lsim((modal, np.zeros((2, 1)), np.eye(2), np.zeros((2, 1))), np.zeros(3), time, state)[2][-1]
     return float(np.linalg.norm(state))
 
 
@@ -182,8 +179,7 @@ class TestRamps:
 
     @pytest.mark.parametrize("kind", ["smooth", *SHAPERS])
     def test_of_drawn_moves_are_causal_and_reach_the_goal_a_smooth_move_in_the_tasks_time(self, kind: Any):
-        env, smooth = BeltArmVectorEnv(60, randomization="ideal"), kind == "smooth"
-        controller = TUNABLE[kind]()
+        env, smooth, controller = BeltArmVectorEnv(60, randomization="ideal"), kind == "smooth", TUNABLE[kind]()
         for move in read(env.reset(seed=5_000_000)[0], NOMINAL).move:
             ramps, (start, goal, duration, _) = planned(controller, move), move
             end = duration if smooth else 1.8
