@@ -166,6 +166,16 @@ def preview_law(controller: PreviewController, k: int) -> Law:
     return _ahead_feedback(params, k, feedback_gains(params, g.weights())[k], g.noise())
 
 
+def _about_rest(params: ArmParams) -> ArmParams:
+    """The arm whose mean stiffness is that of a belt about zero torsion, K_s (1 - b), its damping D_s the same.
+
+    A filter that linearises its own simulation has this one at rest.
+    """
+    soft = 1 - params.belt_stiffening
+    stiffness, damping = params.belt_stiffness * soft, params.belt_damping_ratio / soft**0.5
+    return replace(params, belt_stiffness=stiffness, belt_damping_ratio=damping, belt_stiffening=0.0)
+
+
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     """State feedback of the plan on the predicted state, the constants held at those of the design model.
 
@@ -177,7 +187,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)
     a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), angle)
     gain = planned(np.array([angle, angle, 0.5, 0.2]), row, gains.weights())[0, GAIN : GAIN + 4]  # long before the end
-    arm, growth = _linear_arm(params).at(k), uncertainty.growth()[DISTURBANCE]
+    arm, growth = _linear_arm(_about_rest(params)).at(k), uncertainty.growth()[DISTURBANCE]
     noise = uncertainty.torque, uncertainty.acceleration
     filter_gain = steady_gain(arm, *noise, uncertainty.decay, growth, QUANTUM**2 / 120)  # the constants held
     by_torque = np.append(arm.by_torque, np.zeros(len(a) - 4))

@@ -64,9 +64,10 @@ def margins_from_poles(open_z: Poles, closed_z: Poles) -> Margins:
         """1 + L at w T = turns; the product goes pole by pole, so that it neither over- nor underflows."""
         z = np.exp(1j * turns)
         total = np.ones_like(z)
-        for p, q in zip(opened, closed, strict=True):
-            total *= (z - q[loops]) / (z - p[loops])
-        return total
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for p, q in zip(opened, closed, strict=True):
+                total *= (z - q[loops]) / (z - p[loops])
+        return np.where(np.isnan(total), np.inf, total)  # where a pole lies on the circle
 
     turns = _grid(open_z, closed_z)
     distances = one_plus_loop(turns, every[:, None])
