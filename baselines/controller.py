@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
@@ -36,11 +37,15 @@ class ClassicalController(ABC, Generic[Memory]):
     """Shape of the reference that its law rebuilds from the move; None for a law that follows what it observes."""
     needs_servo: ClassVar[bool] = False
     """Whether it feeds back an estimate of the whole arm, so that the guard gives it a servo to fall back to."""
+    needs_vibration: ClassVar[bool] = False
+    """Whether it reckons with the belt's vibration, so that it takes no arm whose belt does not vibrate."""
 
     _gains: Any = None
 
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()
+        if self.needs_vibration:
+            _require_vibration(self.params)
 
     @property
     def gains(self) -> Any:
@@ -80,6 +85,19 @@ class ClassicalController(ABC, Generic[Memory]):
             warn_if_amid_a_move(observation)
         action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
         return action.astype(np.float32)[:, None], memory
+
+
+def _require_vibration(params: ArmParams) -> None:
+    """Refuse, by ValueError, an arm whose belt does not vibrate at all joint angles (`baselines.models.linear`).
+
+    At 0 degrees M2 is least, and so zeta is most.
+    """
+    most = math.sqrt(params.arm_inertia / (params.arm_inertia + params.arm_inertia_swing))
+    if not params.belt_damping_ratio < most:
+        raise ValueError(
+            f"belt_damping_ratio must be less than {most:.3g} where a controller reckons with the belt's vibration, "
+            f"got {params.belt_damping_ratio!r}: this belt has none at 0 degrees, take a controller such as disturbance"
+        )
 
 
 class LawKernel(NamedTuple):

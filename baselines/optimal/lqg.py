@@ -113,6 +113,7 @@ class LqgController(ObserverController):
     """Flatness feed-forward and gain-scheduled LQG on encoder observations."""
 
     gains_type = LqgGains
+    needs_vibration = True
     feedback_law = staticmethod(_torque)
     memory_size = OWN + CORNERS
 

@@ -166,6 +166,7 @@ class AdrcController(Servo):
     """Active disturbance rejection about a flat motion, on encoder observations."""
 
     gains_type = AdrcGains
+    needs_vibration = True
     arm_law = staticmethod(adrc_law)
     memory_size = PUSHES + _MOST_PUSHES
 

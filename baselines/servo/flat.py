@@ -67,5 +67,6 @@ class FlatController(PidServo):
     """PID about a flat motion."""
 
     gains_type = FlatGains
+    needs_vibration = True
     arm_law = staticmethod(flat_law)
     memory_size = PLAN + CORNERS

@@ -138,6 +138,7 @@ class PaperController(ScalarController):
     """
 
     profile = None
+    needs_vibration = True
     arm_law = staticmethod(paper_law)
     memory_size = 3
 
@@ -178,5 +179,6 @@ class RetunedController(Servo):
     """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own."""
 
     gains_type = RetunedGains
+    needs_vibration = True
     arm_law = staticmethod(retuned_law)
     memory_size = PaperController.memory_size

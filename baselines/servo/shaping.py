@@ -129,6 +129,7 @@ class ZvController(PidServo):
     """PID along a trapezoid shaped by ZV."""
 
     gains_type = ShapingGains
+    needs_vibration = True
     arm_law = staticmethod(shaping_law)
     memory_size = RAMPS_END
 

@@ -59,5 +59,6 @@ class SmoothController(PidServo):
     """PID along an S-curve."""
 
     gains_type = SmoothGains
+    needs_vibration = True
     arm_law = staticmethod(smooth_law)
     memory_size = RAMPS_END

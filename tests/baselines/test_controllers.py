@@ -162,6 +162,13 @@ class TestDataSheet:
         options, words = {"params": {field: [own, value]}}, (f"arm 1 has {field} {value}", "PaperController", str(own))
         refused(ValueError, words, lambda: rollout(PaperController(), 2, seed=0, options=options))
 
+    def test_what_a_law_cannot_use_is_refused(self):
+        vibrating = {*CONTROLLERS} - {"disturbance", "preview", "mpc", "adaptive"}
+        for name, field, value, words in (
+            *((name, "belt_damping_ratio", 0.379, "0.378 where") for name in vibrating),
+        ):
+            refused(ValueError, (field, words), partial(CONTROLLERS[name], params=ArmParams(**{field: value})))
+
 
 @pytest.mark.parametrize("name", TUNABLE)
 def test_gains_lie_within_their_range(name: str):
