@@ -27,7 +27,9 @@ class ClassicalController(ABC, Generic[Memory]):
         params: The design model: all that the controller knows of the plant before it moves. By default it is the
             middle of the training ranges, drive included (`beltarm_env.task.ranges.design_model`), for every tuned
             controller alike; the paper's two know the paper's arm. Its gear ratio and torque limit, which observations
-            and actions are scaled by, must be those of the arms that it drives.
+            and actions are scaled by, must be those of the arms that it drives. No law compensates an error k of its
+            torque constant: tell inertias, payload, stiffness, viscous and Coulomb friction over 1 + k, and k = 0. To
+            the same commands such an arm moves the same.
     """
 
     sensors: ClassVar[Literal["encoder", "full", "accelerometer"]] = "encoder"
