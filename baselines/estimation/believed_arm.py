@@ -67,6 +67,8 @@ STEPS = np.array([1e-2, 1e-1, 1e-4, 1e-2, *[1e-2] * len(IDENTIFIED), *[1e-2] * 7
 """For these differences, and for those of the kinematic error, shape (DIFFERENCED + 2,)."""
 SHORTEST, LONGEST = 0.02, 6.0
 """Delay and, of the former, current loop [samples]. A shorter one would be none, and so would its derivative."""
+STIFFEST = 0.6
+"""Stiffening of a belt that is believed at most."""
 _RIPPLE = [0.02] * (RIPPLE.stop - RIPPLE.start)
 _ACCELEROMETER = [2e-3, 2e-3, 2 * ZERO_G, 2 * ZERO_G]
 _SYMMETRIC = [0.06, *_RIPPLE, *_ACCELEROMETER]  # of d and of what follows
@@ -168,7 +170,7 @@ def _believe_drive(z: Floats, arms: int, nominal: Floats, constants: Floats) -> 
         constants[COLUMN.friction_variation * LANES + lane] = math.sqrt(sine * sine + cosine * cosine)
         constants[COLUMN.friction_variation_phase * LANES + lane] = polar_angle(sine, cosine)
         constants[COLUMN.static_friction_excess * LANES + lane] = max(excess, 0.0)
-        constants[COLUMN.belt_stiffening * LANES + lane] = min(max(stiffening, 0.0), 0.6)
+        constants[COLUMN.belt_stiffening * LANES + lane] = min(max(stiffening, 0.0), STIFFEST)
         deflection = nominal[COLUMN.presliding_deflection] * exponential(z[GIVING * LANES + lane])
         constants[COLUMN.presliding_deflection * LANES + lane] = deflection
     if len(z) > SIZE * LANES:

@@ -176,13 +176,34 @@ def room_of(rooms: Room, thread: int) -> Room:
     return Room(simulation, *(part[thread] for part in rooms[1:]))
 
 
+def _require_identifiable(params: ArmParams) -> None:
+    """Refuse, by ValueError, constants that no measurement would correct, or that a filter would cut."""
+    for name, most in zip(z_at.IDENTIFIED, np.exp(z_at.HIGHEST[z_at.LOGS]), strict=True):
+        if getattr(params, name) == 0 and name != "coulomb_friction":  # without which a motor is taken never to stick
+            raise ValueError(
+                f"{name} must be positive where the arm is identified, got 0: tell a guess, for what is found is at "
+                f"most {most:.2g} times as much"
+            )
+    longest = z_at.HIGHEST[z_at.LAG] * CONTROL_PERIOD
+    for name, most, unit in (("current_loop_time_constant", longest, " s"), ("belt_stiffening", z_at.STIFFEST, "")):
+        if getattr(params, name) > most:
+            raise ValueError(
+                f"{name} must be at most {most:g}{unit} where the arm is identified, got {getattr(params, name)!r}: "
+                "take a controller that does not identify its arm, such as preview"
+            )
+
+
 def filter_design(
     params: ArmParams, uncertainty: Uncertainty, accelerometer: bool = False, model: Model = LUMPED
 ) -> Design:
     """Filter of arms that are nominally `params`, with an accelerometer on their ends if `accelerometer`.
 
     `model` is whose equations of motion it takes them to obey.
+
+    Raises:
+        ValueError: If a constant is beyond what the filter can correct.
     """
+    _require_identifiable(params)
     nominal = nominal_row(params)
     arm = linear_arm_of(nominal, model)
     size = z_at.ACCELEROMETER_SIZE if accelerometer else z_at.SIZE

@@ -238,13 +238,13 @@ class ArmIdentifier:
     """Identification of arms that are nominally `params`.
 
     Args:
-        params: The nominal arm.
+        params: The nominal arm. A Coulomb friction of 0 is not doubted: the motor never sticks.
         uncertainty: What is doubted.
         accelerometer: Whether there is an accelerometer on the arm's end, whose readings are used.
         model: Whose equations of motion the arms are taken to obey, "lumped" or "lagrangian".
 
     Raises:
-        ValueError: If the model is unknown.
+        ValueError: If the model is unknown, or a constant is beyond what can be identified.
     """
 
     def __init__(

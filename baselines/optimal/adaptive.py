@@ -78,7 +78,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
 
     Args:
         gains: Weights, prior uncertainty and noise.
-        params: The nominal arm; the design model if not given.
+        params: The nominal arm; the design model if not given. A Coulomb friction of 0 is not doubted.
         uncertainty: What the identification doubts; by default what the gains say.
         improvements: Steps by which the first plan is improved for the task's own cost, and the most of those of plans
             around the reference's end; 0 leaves all to the squares.
@@ -86,7 +86,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
 
     Raises:
         TypeError: If the gains are those of another controller.
-        ValueError: If the model is unknown.
+        ValueError: If the model is unknown, or a constant is beyond what can be identified.
     """
 
     gains_type = AdaptiveGains

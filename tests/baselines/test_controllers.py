@@ -165,6 +165,9 @@ class TestDataSheet:
     def test_what_a_law_cannot_use_is_refused(self):
         vibrating = {*CONTROLLERS} - {"disturbance", "preview", "mpc", "adaptive"}
         for name, field, value, words in (
+            *(("adaptive", field, 0.0, "a guess") for field in ("motor_viscous_friction", "arm_inertia_swing")),
+            ("adaptive", "current_loop_time_constant", 0.0031, "at most 0.003 s"),
+            ("adaptive", "belt_stiffening", 0.61, "at most 0.6 "),
             *((name, "belt_damping_ratio", 0.379, "0.378 where") for name in vibrating),
         ):
             refused(ValueError, (field, words), partial(CONTROLLERS[name], params=ArmParams(**{field: value})))
