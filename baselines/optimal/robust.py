@@ -87,14 +87,22 @@ class Loops(NamedTuple):
 
 
 def arms_around(params: ArmParams) -> list[ArmParams]:
-    """Arms as far from `params` as the corners are from the middle of the training ranges."""
+    """Arms as far from `params` as the corners are from the middle of the training ranges.
+
+    Raises:
+        ValueError: If one is no arm.
+    """
     middle, latest = design_model(), LATENCY_SAMPLES * CONTROL_PERIOD
     arms = []
     for corner in CORNERS.values():
         moved = {name: getattr(params, name) + getattr(corner, name) - getattr(middle, name) for name in LOOP_FIELDS}
         moved |= {name: max(0.0, value) for name, value in moved.items() if name != "torque_constant_error"}
         late = moved["command_latency"] + CONTROL_PERIOD
-        arms.append(replace(params, **moved | {"command_latency": min(moved["command_latency"], latest)}))
+        try:
+            arms.append(replace(params, **moved | {"command_latency": min(moved["command_latency"], latest)}))
+        except ValueError as error:
+            words = f"a corner of the training ranges, moved to params, is no arm: {error}"
+            raise ValueError(f"{words}: take a controller that has no corners, such as lqg") from error
         if corner.command_latency > middle.command_latency:
             arms.append(replace(arms[-1], command_latency=min(late, latest)))
     return arms

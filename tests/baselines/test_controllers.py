@@ -169,6 +169,7 @@ class TestDataSheet:
             ("adaptive", "current_loop_time_constant", 0.0031, "at most 0.003 s"),
             ("adaptive", "belt_stiffening", 0.61, "at most 0.6 "),
             *((name, "belt_damping_ratio", 0.379, "0.378 where") for name in vibrating),
+            ("robust", "belt_stiffness", 5.0, "a corner"),
         ):
             refused(ValueError, (field, words), partial(CONTROLLERS[name], params=ArmParams(**{field: value})))
 
