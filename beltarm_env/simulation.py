@@ -109,7 +109,7 @@ class ArmSimulation:
             torques: Commanded for the period [N m], shape (n,); cut at the torque limit.
 
         Raises:
-            ValueError: If there are not as many as arms, or a number is not finite.
+            ValueError: If there are not as many as arms, or a torque is not finite.
         """
         _require(len(self.limits), self.size, states=states, torques=torques)
         states = np.ascontiguousarray(states, np.float64)
@@ -126,7 +126,7 @@ class ArmSimulation:
             samples: How far ahead, in control periods, shape (n,).
 
         Raises:
-            ValueError: If there are not as many as arms, a number is not finite, or a time is negative.
+            ValueError: If there are not as many as arms, a torque or time is not finite, or a time is negative.
         """
         _require(len(self.limits), self.size, states=states, torques=torques, samples=samples)
         if np.min(samples, initial=0.0) < 0:
@@ -142,13 +142,13 @@ class ArmSimulation:
 
 
 def _require(count: int, size: int = 0, **arrays: Floats) -> None:
-    """Refuse, by ValueError, arrays not of shape (count,), states not of (count, size), and all that are not finite.
+    """Refuse, by ValueError, arrays not of shape (count,) or not finite, and states not of (count, size).
 
-    Kernels do not look.
+    Kernels do not look. The state of an arm that is lost is no number.
     """
     for name, array in arrays.items():
         shape = (count, size) if name == "states" else (count,)
         if np.shape(array) != shape:
             raise ValueError(f"{name} must have shape {shape}, got {np.shape(array)}")
-        if not np.isfinite(array).all():
+        if name != "states" and not np.isfinite(array).all():
             raise ValueError(f"{name} must be finite, got {np.asarray(array)[~np.isfinite(array)][0]}")

@@ -143,7 +143,8 @@ def told_apart(ours: BundleSpec, theirs: BundleSpec) -> str | None:
     said, others = (
         {**spec.provenance.get("config", {}), **asdict(replace(spec, provenance={}))} for spec in (ours, theirs)
     )
-    for name in sorted((said.keys() & others.keys()) - {*NO_SETTINGS}, key=lambda name: (name == "seed", name)):
+    both = (said.keys() & others.keys()) - {*NO_SETTINGS, "validation_every"}
+    for name in sorted(both, key=lambda name: (name == "seed", name)):
         if (said[name] == others[name]) == (name == "seed"):
             return in_a_line(f"{name} {said[name]} and {others[name]}", 80)
     return None

@@ -105,7 +105,8 @@ class TrainingMonitor:
                     f"to end at, {config.length}: give a larger --total-steps or --rounds"
                 )
         commands = self.progress.setdefault("command", command)
-        if self.progress.get("length", config.length) != config.length:
+        self._has_another_length = self.progress.get("length", config.length) != config.length
+        if self._has_another_length:
             commands = self.progress["command"] = f"{commands} && {command}"
         self.progress["length"] = config.length
         folder.note(config, self.progress["curve"] if resumed else None)
@@ -142,10 +143,15 @@ class TrainingMonitor:
         self.logger.close()
 
     def begin(self) -> None:
-        """Validate the untrained policy, save the first checkpoint and write the first row of the log."""
+        """Validate the untrained policy, save the first checkpoint and write the first row of the log.
+
+        Of a run that was given another length, save the command that says so.
+        """
         if not self.folder.checkpoint.exists():
             self.evaluate()
             self.log()
+        elif self._has_another_length:
+            self.save()
 
     def log(self) -> None:
         """Write a row of the training log; raises OSError if it cannot be written."""

@@ -128,6 +128,12 @@ def servo_for(controller: Controller) -> Controller | None:
     """Make the servo that a controller falls back to; None for one without `needs_servo`.
 
     It is `flat`: stiff, without an observer, and the one that faults of arm and drive impress least.
+
+    Raises:
+        ValueError: If `flat` takes no such arm.
     """
     needed = getattr(controller, "needs_servo", False)
-    return CONTROLLERS["flat"](params=nominal_params(controller)) if needed else None
+    try:
+        return CONTROLLERS["flat"](params=nominal_params(controller)) if needed else None
+    except ValueError as error:
+        raise ValueError(f"the guard falls back to a servo, flat, which takes no such arm: {error}") from error

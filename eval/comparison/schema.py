@@ -129,7 +129,7 @@ _PRIMARY = object_of(  # a test of the primary comparison: a metric on a split
     challenger=TEXT,
     classical=TEXT,
     result={"enum": ["better", "worse", "open"]},  # "open": no difference shown
-    **_TEST,  # difference, its share of the classical controller's value, p after Holm's correction over the splits
+    **_TEST,  # difference, its share of the classical controller's value, p after all corrections
 )
 _ROW = object_of(  # a method on a split
     ("median_seed", "cost_worst", "marks", "sensitivity"),

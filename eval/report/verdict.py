@@ -19,7 +19,7 @@ from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
 from eval.comparison.methods import PRIMARY, PRIVILEGED, is_shipped, project_names, shipped_policies
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
-from eval.comparison.splits import EPISODES, MOVES
+from eval.comparison.splits import EPISODES, MOVES, SPLITS
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, average, holm, mean_differences
 
 Result = Literal["better", "worse", "open"]
@@ -89,8 +89,8 @@ class PairwiseTest:
         """What is shown of one average where the other does not show it; empty for nothing."""
         middle = {True: "lower", False: "higher"}[self.middle.difference.iqm < 0] if self.middle.survives else ""
         mean = "lower" if self.mean.high < 0 else ("higher" if self.mean.low > 0 else "")
-        shown = {f"interquartile mean is {middle}": middle, f"mean is {mean}": mean}
-        return " and its ".join(words for words, way in shown.items() if way) if self.result == "open" else ""
+        shown = {f"the interquartile mean is {middle}": middle, f"the mean is {mean}": mean}
+        return " and ".join(words for words, way in shown.items() if way) if self.result == "open" else ""
 
     @property
     def relative(self) -> float:
@@ -126,7 +126,7 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]
     away = [(outcome, shares) for outcome, shares in arrivals if shares.any()]
-    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "splits": comparison.splits()}
+    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "splits": _asked(comparison)}
     words |= {"policies": pair[0].seeds, "all_policies": len(shipped_policies(method=pair[0].name))}
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
@@ -159,11 +159,17 @@ def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, Pa
     by_split = [{outcome.name: outcome for outcome in comparison.on(split)} for split in comparison.splits()]
     pairs = [(of_split[names[0]], of_split[names[1]]) for of_split in by_split if {*names} <= of_split.keys()]
     tests = _tested(pairs, metric)
-    undecided = [1.0] * (len(comparison.splits()) - len(tests))  # which belong to the family
+    undecided = [1.0] * (len(_asked(comparison)) - len(tests))  # which belong to the family
     challengers = 1 if names == PRIMARY else len(comparison.challengers(comparison.main_split))
     adjusted = holm([*(min(1.0, challengers * test.middle.p) for test in tests), *undecided])
     corrected = zip(tests, adjusted, strict=False)
     return {test.split: replace(test, middle=replace(test.middle, p_holm=p)) for test, p in corrected}
+
+
+def _asked(comparison: Comparison) -> list[str]:
+    """Splits that were asked for, those where all methods failed last."""
+    failed = [failure.split for failure in comparison.failures if failure.split in SPLITS]
+    return list(dict.fromkeys([*comparison.splits(), *failed]))
 
 
 def _tested(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[PairwiseTest]:

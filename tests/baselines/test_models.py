@@ -58,7 +58,7 @@ def test_what_does_not_fit_is_refused():
     simulation = ArmSimulation([ArmParams()] * 2)
     for words, call in (
         (("(1, 4)",), lambda: simulation.advance(np.zeros((1, 4)), np.zeros(2))),
-        (("states", "nan"), lambda: simulation.advance(np.full((2, 4), math.nan), np.zeros(2))),
+        (("torques", "nan"), lambda: simulation.advance(np.zeros((2, 4)), np.full(2, math.nan))),
         (("samples", "-1"), lambda: simulation.ahead(np.zeros((2, 4)), np.zeros(2), np.array([0.0, -1.0]))),
         (("136 arms", "137"), lambda: simulation.set_table(params_table([ArmParams()] * 137))),
         (("'lumped', 'lagrangian'", "'mujoco'"), lambda: ArmSimulation(ArmParams(), model="mujoco")),

@@ -80,11 +80,11 @@ def test_a_learned_method_is_compared_with_its_base_too():
 def test_both_averages_decide():
     for middle, p, low, high, result, alone in (
         (-1.0, 0.04, -2.0, -1e-9, "better", ""),
-        (-1.0, 0.04, -2.0, 0.0, "open", "interquartile mean is lower"),
-        (-1.0, 0.06, -2.0, -1.0, "open", "mean is lower"),
+        (-1.0, 0.04, -2.0, 0.0, "open", "the interquartile mean is lower"),
+        (-1.0, 0.06, -2.0, -1.0, "open", "the mean is lower"),
         (-1.0, 0.06, -2.0, 0.0, "open", ""),
         (1.0, 0.04, 1e-9, 2.0, "worse", ""),
-        (1.0, 0.04, -2.0, -1.0, "open", "interquartile mean is higher and its mean is lower"),
+        (1.0, 0.04, -2.0, -1.0, "open", "the interquartile mean is higher and the mean is lower"),
     ):
         compared = Paired(Estimate(middle, middle, middle), Estimate(0.0, 0.0, 0.0), p, p_holm=p)
         net, pid = outcome("net", "learned", 60.0), outcome("pid", "classical", 100.0)

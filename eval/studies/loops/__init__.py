@@ -149,7 +149,7 @@ def tables(data: Data) -> Data:
         "ranked": ranked,
         "titles": _MARGINS,
         "margin": margin_text,
-        "ratio": ratio_text,
+        "ratio": lambda value, left=0: f"{value:.{2 if value < 9.95 else 0}f}{f' ({left} left)' if left else ''}",
         "shown": costs.SHOWN_METRICS,
         "torques": TORQUES,
         "kept": [name for name, search in searches.items() if search["cost"] == search["cost_untuned"]],
@@ -161,11 +161,6 @@ def margin_text(name: str, value: float | None) -> str:
     if name in _DIGITS:
         return shown(value, _DIGITS[name])
     return f"×{value:.3g}" if value and isfinite(value) else "–"
-
-
-def ratio_text(value: float, left: int = 0) -> str:
-    """A ratio of costs, and how many arms left the workspace, if any."""
-    return (f"{value:.2f}" if value < 9.95 else f"{value:.0f}") + (f" ({left} left)" if left else "")
 
 
 def pictures(data: Data) -> Pictures:
