@@ -35,9 +35,9 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-r
 help:  ## Show this list
 	@awk '/^##@/ { printf "\n%s\n", substr($$0, 5) } \
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-8s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
-	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
+	@printf '\nOptions of a command go in ARGS: make compare ARGS="--quick --episodes 40"\n'
 
-compare: $(READY_COMPARE)  ## Compare all controllers, with --quick in about a minute, or with ARGS in its place: results/compare/report.html
+compare: $(READY_COMPARE)  ## Compare all controllers, with --quick in about a minute; ARGS replaces --quick: results/compare/report.html
 	$(BIN)/python eval/compare.py $(or $(ARGS),--quick)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
