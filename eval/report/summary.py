@@ -114,9 +114,8 @@ def headline(results: Results) -> str:
     tie = is_tie("cost", cost["result"], cost["relative"])
     change = f"{100 * abs(cost['relative']):.{int(tie)}f} % {'less' if cost['relative'] < 0 else 'more'}"
     change = f"the move costs {change}{', a practical tie' if tie else ''}"
-    change = {"open": "no difference in the cost of the move is shown that holds in both averages"}.get(
-        cost["result"], change
-    )
+    if cost["result"] == "open":
+        change = "no difference in the cost of the move is shown that holds in both averages"
     return f"After {after} the arm's end is still in {still}, on average; {change}."
 
 
