@@ -13,7 +13,7 @@ On n arms, with differences d_i in cost to the best,
 
 is what the estimator learns from. After each of `RUNGS` arms a trial is pruned if Wilcoxon's signed-rank test says
 that it is worse than the best one, unless its estimated cost is lower: the test looks at ranks, but costs have long
-tails. Optuna's `WilcoxonPruner` would write the cost of every arm to the journal, as slow as to simulate it.
+tails. It is Optuna's `WilcoxonPruner`, which reads the cost of each arm from the journal.
 
 **Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
 and the untuned gains, on other arms. The best on all arms that it has met is the result; its cost on the others is what
@@ -36,12 +36,12 @@ from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
 import optuna
 from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState
-from scipy.stats import wilcoxon
 
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Gains
@@ -58,7 +58,7 @@ from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 RUNGS = (32, 64, 128)
 """Arms, or shifts, that a trial has run on when it is compared with the best; after the last it is complete."""
 SIGNIFICANCE = 0.1
-"""Level p of the test by which a trial is pruned."""
+"""Level p of the test by which a trial is pruned, each time it is made."""
 FINALISTS = 7
 MAX_CHOICE_ARMS = 1000
 MAX_REFUSED = 2000
@@ -66,7 +66,7 @@ MAX_REFUSED = 2000
 WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
 _WITHOUT_LOOP = 2.0  # shortfall of gains that make no controller or no loop: beyond that of any loop
-_COSTS, _FAILURE = "costs", "failure"  # attributes of a complete trial, and of one in which the controller failed
+_FAILURE = "failure"  # attribute of a trial in which the controller failed
 _CHOSEN = "chosen"  # attribute of a study: steps of the choices so far
 
 
@@ -129,12 +129,9 @@ def estimate(costs: Floats, best: Floats) -> float:
     return float(best.mean() + (costs - best[: len(costs)]).mean())
 
 
-def hopeless(costs: Floats, best: Floats) -> bool:
-    """Whether a trial is worse than the best one, arm by arm and by its estimate; arguments as those of `estimate`."""
-    if not len(best) or estimate(costs, best) <= best.mean():
-        return False
-    test: Any = wilcoxon(costs - best[: len(costs)], alternative="greater", zero_method="zsplit")
-    return bool(test.pvalue < SIGNIFICANCE)
+def costs_of(trial: FrozenTrial) -> Floats:
+    """Costs of the arms that a trial has run on."""
+    return np.array([trial.intermediate_values[arm] for arm in sorted(trial.intermediate_values)])
 
 
 def space(kind: type[Gains]) -> dict[str, FloatDistribution]:
@@ -173,7 +170,9 @@ def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
         "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
     }
     packages, remedy = ("beltarm_env", "baselines"), "tune anew, without --resume"
-    study = open_study(journal, begun, optuna.pruners.NopPruner(), packages=packages, remedy=remedy)
+    with catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        pruner = optuna.pruners.WilcoxonPruner(p_threshold=SIGNIFICANCE, n_startup_steps=RUNGS[0])
+    study = open_study(journal, begun, pruner, packages=packages, remedy=remedy)
     repeat_interrupted(study)
     return study
 
@@ -222,7 +221,7 @@ class _Search:
         self._first, self._space = beginnings(kind.gains_type), space(kind.gains_type)
         self._untuned = self._first[0]
         self.chosen = study.user_attrs.get(_CHOSEN, 0)
-        arms = sum(trial.last_step or 0 for trial in self._trials())
+        arms = sum(len(trial.intermediate_values) for trial in self._trials())
         self.steps = arms * terms.moves * EPISODE_STEPS + self.chosen
         self.refused = len(self._trials(TrialState.PRUNED))
         condition = terms.condition
@@ -233,23 +232,21 @@ class _Search:
     def trial(self) -> None:
         """Run one trial until it is complete or pruned; none of a proposal that is refused."""
         complete = self._complete()
-        best = np.array(complete[0].user_attrs[_COSTS] if complete else [])
+        best = costs_of(complete[0]) if complete else np.empty(0)
         trial = ask(self._study, self._space, self._terms.seed, first=self._first)
         if self._refuses(trial):
             return
         costs, value = np.empty(0), WORST
         for first, end in pairwise((0, *RUNGS)):
-            try:
-                costs = np.append(costs, self._costs(trial.params, GAIN_SEARCH.first + first, end - first))
-                value = estimate(costs, best)
-            except _FailureError as failure:
-                trial.set_user_attr(_FAILURE, str(failure))
-                value = WORST
-            trial.report(value, end)
-            if value == WORST or hopeless(costs, best):
+            batch, failure = self._costs(trial.params, GAIN_SEARCH.first + first, end - first)
+            costs = np.append(costs, batch)
+            value = WORST if failure else estimate(costs, best)
+            if failure:
+                trial.set_user_attr(_FAILURE, failure)
+            for arm in range(first, end):
+                trial.report(costs[arm], arm)
+            if failure or (trial.should_prune() and value > best.mean()):
                 break
-        if len(costs) == RUNGS[-1]:
-            trial.set_user_attr(_COSTS, costs.tolist())
         self._study.tell(trial, value)
 
     def _refuses(self, trial: optuna.Trial) -> bool:
@@ -272,14 +269,9 @@ class _Search:
         began, before = time.perf_counter(), self.steps
         complete = self._complete()
         candidates = sorted(complete, key=lambda trial: trial.params != self._untuned)[: FINALISTS + 1]
-        costs = list[Floats]()
-        for trial in candidates:
-            try:
-                costs.append(self._costs(trial.params, GAIN_CHOICE.first, arms))
-            except _FailureError:
-                costs.append(np.full(arms, WORST))
+        costs = [self._costs(trial.params, GAIN_CHOICE.first, arms)[0] for trial in candidates]
         self._study.set_user_attr(_CHOSEN, self.chosen + self.steps - before)
-        every = [np.append(trial.user_attrs[_COSTS], own) for trial, own in zip(candidates, costs, strict=True)]
+        every = [np.append(costs_of(trial), own) for trial, own in zip(candidates, costs, strict=True)]
         best = int(np.argmin([both.mean() for both in every]))
         trials = self._trials(TrialState.COMPLETE)
         failed = sum(_FAILURE in trial.user_attrs for trial in trials)
@@ -297,8 +289,8 @@ class _Search:
             seconds=round(seconds + time.perf_counter() - began, 1),
         )
 
-    def _costs(self, params: dict[str, float], seed: int, arms: int) -> Floats:
-        """Costs of arms with consecutive seeds, averages over their moves."""
+    def _costs(self, params: dict[str, float], seed: int, arms: int) -> tuple[Floats, str]:
+        """Costs of arms with consecutive seeds, averages over their moves; and why, where the controller fails."""
         moves = self._terms.moves
         self.steps += arms * moves * EPISODE_STEPS
         try:
@@ -308,9 +300,9 @@ class _Search:
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error
-            raise _FailureError(f"{type(error).__name__}: {error}") from error
+            return np.full(arms, WORST), f"{type(error).__name__}: {error}"
         self._report()
-        return costs
+        return costs, ""
 
     def _controller(self, params: dict[str, float]) -> Controller:
         return self._kind(rounded(params, self._kind.gains_type))
@@ -328,9 +320,5 @@ class _Search:
 
     def _complete(self) -> list[FrozenTrial]:
         """Trials that ran on all arms, the best first."""
-        complete = [trial for trial in self._trials(TrialState.COMPLETE) if _COSTS in trial.user_attrs]
-        return sorted(complete, key=lambda trial: trial.value or 0.0)
-
-
-class _FailureError(Exception):
-    """Raised where a controller fails or returns no finite torque."""
+        all_arms = [each for each in self._trials(TrialState.COMPLETE) if len(each.intermediate_values) == RUNGS[-1]]
+        return sorted((each for each in all_arms if _FAILURE not in each.user_attrs), key=lambda each: each.value or 0)
