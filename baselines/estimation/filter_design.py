@@ -184,11 +184,16 @@ def _require_identifiable(params: ArmParams) -> None:
                 f"{name} must be positive where the arm is identified, got 0: tell a guess, for what is found is at "
                 f"most {most:.2g} times as much"
             )
-    longest = z_at.HIGHEST[z_at.LAG] * CONTROL_PERIOD
-    for name, most, unit in (("current_loop_time_constant", longest, " s"), ("belt_stiffening", z_at.STIFFEST, "")):
+    longest, least_log = z_at.HIGHEST[z_at.LAG] * CONTROL_PERIOD, z_at.LOWEST[z_at.LOGS.start]
+    heaviest = params.arm_inertia_swing * (np.exp(-least_log) - 1) / (4 * params.link_length**2)
+    for name, most, unit in (
+        ("current_loop_time_constant", longest, " s"),
+        ("belt_stiffening", z_at.STIFFEST, ""),
+        ("payload_mass", heaviest, " kg"),  # else ln S would be cut where the gripper holds nothing
+    ):
         if getattr(params, name) > most:
             raise ValueError(
-                f"{name} must be at most {most:g}{unit} where the arm is identified, got {getattr(params, name)!r}: "
+                f"{name} must be at most {most:.4g}{unit} where the arm is identified, got {getattr(params, name)!r}: "
                 "take a controller that does not identify its arm, such as preview"
             )
 

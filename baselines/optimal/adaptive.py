@@ -78,7 +78,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory]):
 
     Args:
         gains: Weights, prior uncertainty and noise.
-        params: The nominal arm; the design model if not given. A Coulomb friction of 0 is not doubted.
+        params: The nominal arm; the design model if not given. A Coulomb friction of 0 is not doubted. Of ripple,
+            kinematic error, friction drift and the torque constant's error nothing is believed beforehand.
         uncertainty: What the identification doubts; by default what the gains say.
         improvements: Steps by which the first plan is improved for the task's own cost, and the most of those of plans
             around the reference's end; 0 leaves all to the squares.

@@ -168,6 +168,7 @@ class TestDataSheet:
             *(("adaptive", field, 0.0, "a guess") for field in ("motor_viscous_friction", "arm_inertia_swing")),
             ("adaptive", "current_loop_time_constant", 0.0031, "at most 0.003 s"),
             ("adaptive", "belt_stiffening", 0.61, "at most 0.6 "),
+            ("adaptive", "payload_mass", 0.36, "at most 0.3503 kg "),
             *((name, "belt_damping_ratio", 0.379, "0.378 where") for name in vibrating),
             ("robust", "belt_stiffness", 5.0, "a corner"),
         ):
