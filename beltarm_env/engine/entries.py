@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from beltarm_env.engine.translation import arrays
-from beltarm_env.engine.translation.function import Function
 from beltarm_env.engine.translation.numbers import NUMBERS, bare, scalar
 from beltarm_env.engine.translation.program import Program
 from beltarm_env.engine.translation.reading import place
+from beltarm_env.engine.translation.statements import Function
 from beltarm_env.engine.translation.tidy import releasing, without_unused
 from beltarm_env.engine.translation.types import (
     BOOL,
@@ -241,9 +241,9 @@ class _Given:
         if letter is None:
             raise TranslationError(f"it returns an array of {array.dtype}: return one of int64")
         self.code += f"A{letter}{len(array.shape)}"
-        self._put("p", f"given_array({array.code}, sizeof({array.dtype}), {arrays.text(arrays.count_of(array.shape))})")
+        self._put("p", f"given_array({array.code}, sizeof({array.dtype}), {arrays.count_of(array.shape)})")
         for size in array.shape:
-            self._put("n", arrays.text(size))
+            self._put("n", str(size))
         return ("array", letter)
 
     def _put(self, member: str, code: str) -> None:

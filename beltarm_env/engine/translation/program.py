@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from beltarm_env.engine.translation import arrays
-from beltarm_env.engine.translation.function import Function, NotReturnableError
 from beltarm_env.engine.translation.known import named, shown
 from beltarm_env.engine.translation.numbers import NUMBERS, bare, cast, dtype_of_number, literal, scalar
 from beltarm_env.engine.translation.reading import assignments, place, placed, tree_of
 from beltarm_env.engine.translation.scope import PREFIX, RESERVED, WORDS, type_of
-from beltarm_env.engine.translation.statements import Statements
+from beltarm_env.engine.translation.statements import Function, NotReturnableError
 from beltarm_env.engine.translation.tidy import text_of
 from beltarm_env.engine.translation.types import (
     INT,
@@ -98,8 +97,9 @@ class Program:
             numbers = [literal(number, dtype) for number in values.ravel()]
             rows = textwrap.wrap(", ".join(numbers), 112, break_long_words=False)
             body = "\n".join(f"    {row}" for row in rows)
-            size = max(values.size, 1)
-            self.tables[key] = (label, f"static const {dtype} {label}[{size}] = {{ /* {_shape(values)} */\n{body}\n}};")
+            shown_shape = " by ".join(map(str, values.shape)) or "one number"
+            head = f"static const {dtype} {label}[{max(values.size, 1)}] = {{ /* {shown_shape} */"
+            self.tables[key] = (label, f"{head}\n{body}\n}};")
         shape = tuple(map(int, values.shape))
         label = self.tables[key][0]
         return Array(dtype, shape, arrays.contiguous(shape), label, constant=True, memory=label, checked=self.checked)
@@ -128,7 +128,7 @@ class Program:
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
-    def call(self, caller: Statements, function: Callable[..., Any], values: list[Value]) -> Value:
+    def call(self, caller: Function, function: Callable[..., Any], values: list[Value]) -> Value:
         """Translate a call: of a function that is translated for these types, or written out where it is called."""
         name, kind, spanned, known, passed = self._translated(function, values, caller)
         if name is None:
@@ -144,7 +144,7 @@ class Program:
         return Record(kind, place) if isinstance(kind, RecordType) else Scalar(kind, place, spanned)
 
     def _translated(
-        self, function: Callable[..., Any], values: list[Value], caller: Statements
+        self, function: Callable[..., Any], values: list[Value], caller: Function
     ) -> tuple[str | None, Any, Any, Const | None, list[str]]:
         for static in (False, True):
             kinds = tuple(self._argument_type(value, static, caller) for value in values)
@@ -171,7 +171,7 @@ class Program:
             return name, kind, spanned, known, passed
         raise AssertionError
 
-    def _argument_type(self, value: Value, static: bool, caller: Statements) -> Any:
+    def _argument_type(self, value: Value, static: bool, caller: Function) -> Any:
         if isinstance(value, Const):
             if isinstance(value.value, NUMBERS):
                 whole = isinstance(value.value, int | np.integer)
@@ -187,7 +187,7 @@ class Program:
             return GroupType(value.make, tuple((k, self._argument_type(v, static, caller)) for k, v in value.fields))
         return type_of(value)
 
-    def _passed(self, value: Value, kind: Any, caller: Statements) -> Iterable[str]:
+    def _passed(self, value: Value, kind: Any, caller: Function) -> Iterable[str]:
         if isinstance(kind, ConstType):
             return
         if isinstance(kind, GroupType):
@@ -201,7 +201,7 @@ class Program:
             assert isinstance(array, Array)
             yield bare(array.code)
             for given, known in ((array.shape, kind.shape), (array.strides, kind.strides)):
-                yield from (bare(arrays.text(size)) for size, of in zip(given, known, strict=True) if of is None)
+                yield from (bare(str(size)) for size, of in zip(given, known, strict=True) if of is None)
         else:
             yield bare(cast(value, kind).code)
 
@@ -298,7 +298,7 @@ class Program:
             return Record(kind, place)
         return replace(number, span=body.spanned(name, kind, number))
 
-    def _written_out(self, caller: Statements, function: Callable[..., Any], values: list[Value]) -> Value:
+    def _written_out(self, caller: Function, function: Callable[..., Any], values: list[Value]) -> Value:
         """Translate a function whose last statement alone returns, in the place of its call."""
         tree = self._tree(function)
         body, last = tree.body[:-1], tree.body[-1]
@@ -323,7 +323,7 @@ class Program:
                 setattr(caller, name, value)
 
 
-def _own_variables(body: Statements, parameters: list[str]) -> None:
+def _own_variables(body: Function, parameters: list[str]) -> None:
     """Give variables of their own to parameters that the function assigns again."""
     for name in parameters:
         if body.often(name):
@@ -350,7 +350,3 @@ def _facts(values: Iterable[Value], memory: dict[str, int]) -> Iterable[Any]:
 def _number(value: Value, memory: dict[str, int]) -> int:
     """Number of the memory that an array is a part of; a known array has its own."""
     return memory.setdefault(value.memory if isinstance(value, Array) else f"known {len(memory)}", len(memory))
-
-
-def _shape(values: np.ndarray) -> str:
-    return " by ".join(map(str, values.shape)) or "one number"

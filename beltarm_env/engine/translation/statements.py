@@ -1,4 +1,4 @@
-"""Statements of a kernel."""
+"""Statements of a kernel, and what it returns: one function of C."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from beltarm_env.engine.translation import arrays
 from beltarm_env.engine.translation.assigning import Assignments
 from beltarm_env.engine.translation.expressions import construct
-from beltarm_env.engine.translation.numbers import bare, cast, constant, scalar
+from beltarm_env.engine.translation.numbers import NUMBERS, bare, cast, constant, scalar
+from beltarm_env.engine.translation.scope import type_of
 from beltarm_env.engine.translation.types import (
     BOOL,
     INT,
@@ -20,20 +21,32 @@ from beltarm_env.engine.translation.types import (
     UNSET,
     Array,
     Const,
+    ConstType,
+    Group,
     Lazy,
+    Record,
+    RecordType,
     Scalar,
     TranslationError,
     Value,
     joined,
+    key_of,
+    known_group,
     parts_of,
 )
 from beltarm_env.engine.translation.whole import WHOLE, fits, span
 
 
-class Statements(Assignments):
-    """Translation of statements into lines."""
+class NotReturnableError(TranslationError):
+    """A function returns what C cannot: it is written out where it is called."""
+
+
+class Function(Assignments):
+    """Translation of one function: its statements into lines."""
 
     returned: Any = None  # type of what is returned, joined over all returns
+    known: Const | None = None  # what is returned, where that is no number
+    span: tuple[int, int] | None = None  # of the whole numbers returned
 
     def block(self, body: list[ast.stmt]) -> bool:
         """Translate statements; tell whether the last one leaves the block."""
@@ -71,7 +84,31 @@ class Statements(Assignments):
 
     def give(self, value: Value) -> None:
         """Return a value."""
-        raise NotImplementedError
+        if isinstance(value, Const) and not _all_numbers(value.value):
+            if self.returned not in (None, ConstType(key_of(value.value))):
+                raise TranslationError("a function returns either a number or what is known, not both")
+            self.returned, self.known = ConstType(key_of(value.value)), value
+            self.write("return;")
+            return
+        if isinstance(value, Const):
+            value = scalar(value) if isinstance(value.value, NUMBERS) else known_group(value)
+        if isinstance(value, Group):
+            record = self.record(value)
+            if record is None:
+                raise NotReturnableError("it returns arrays")
+            value = record
+        if not isinstance(value, Scalar | Record):
+            raise NotReturnableError("it returns arrays")
+        kind = joined(self.returned, type_of(value)) if self.returned is not None else type_of(value)
+        if kind != self.returned:
+            self.changed, self.returned = True, kind
+        if isinstance(value, Scalar) and kind in (SMALL, INT):
+            low, high = span(value)
+            self.span = (min(low, self.span[0]), max(high, self.span[1])) if self.span else (low, high)
+        if isinstance(kind, RecordType):
+            self.write(f"return {bare(self.as_record(value, kind))};")
+        else:
+            self.write(f"return {bare(cast(value, kind).code)};")
 
     def _do_break(self, statement: ast.Break) -> bool:
         self.exits.append(dict(self.names))
@@ -210,7 +247,7 @@ class Statements(Assignments):
     def _over_rows(self, statement: ast.For, array: Array) -> None:
         """Translate a loop over the entries of an array, or its rows."""
         array, place = self.held(array), self.c_name("row")
-        length = bare(arrays.text(self.stable(array.shape[0])))
+        length = bare(str(self.stable(array.shape[0])))
         self.write(f"for (int64_t {place} = 0; {place} < {length}; ++{place}) {{")
         row = Scalar(INT, place, (0, 2**31 - 1))
 
@@ -256,6 +293,15 @@ class Statements(Assignments):
             else:
                 self.put(place, new)
 
+    def finish(self, left: bool) -> None:
+        """End the function.
+
+        Raises:
+            TranslationError: If one way through it returns something, and another does not.
+        """
+        if not left and self.returned not in (None, ConstType(key_of(None))):
+            raise TranslationError("it returns something on one way and nothing on another: return on all ways")
+
 
 def _met(*ways: dict[str, Value]) -> dict[str, Value]:
     """Names where ways meet, by the last of them; known values that differ are variables by now."""
@@ -264,6 +310,12 @@ def _met(*ways: dict[str, Value]) -> dict[str, Value]:
         every |= names
     certain = {name for name in every if all(names.get(name, UNSET) is not UNSET for names in ways)}
     return {name: value if name in certain else UNSET for name, value in every.items()}
+
+
+def _all_numbers(value: Any) -> bool:
+    if isinstance(value, NUMBERS):
+        return True
+    return isinstance(value, tuple) and len(value) > 0 and all(map(_all_numbers, value))
 
 
 def _leaves(body: list[ast.stmt], kinds: Any) -> bool:

@@ -10,8 +10,8 @@ import pytest
 from refusals import refused
 
 from beltarm_env.engine.translation.arrays import contiguous
-from beltarm_env.engine.translation.function import Function
 from beltarm_env.engine.translation.program import Program
+from beltarm_env.engine.translation.statements import Function
 from beltarm_env.engine.translation.types import Array, NotConstantError, Scalar, TranslationError, dtype_of
 
 HEAD = """
