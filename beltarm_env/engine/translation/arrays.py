@@ -37,11 +37,6 @@ def contiguous(shape: tuple[Size, ...]) -> tuple[Size, ...]:
     return tuple(strides)
 
 
-def text(size: Size) -> str:
-    """Write a length or an offset."""
-    return str(size)
-
-
 def plus(a: Size, b: Size) -> Size:
     """Add two offsets, as far as they are known."""
     if isinstance(a, int) and isinstance(b, int):
@@ -84,10 +79,10 @@ def _at(value: Any, size: Size, checked: bool) -> Size:
             raise TranslationError(f"index {index} is outside an axis of {size}")
         return plus(size, index) if index < 0 else index
     if isinstance(index, Scalar):
-        at: Size = index.code if natural(index) else f"int_at({bare(index.code)}, {bare(text(size))})"
+        at: Size = index.code if natural(index) else f"int_at({bare(index.code)}, {bare(str(size))})"
     else:
         at = plus(size, index) if index < 0 else index
-    return f"CHECKED_AT({bare(text(at))}, {bare(text(size))})" if checked else at
+    return f"CHECKED_AT({bare(str(at))}, {bare(str(size))})" if checked else at
 
 
 def _cut(value: Any, size: Size) -> Size:
@@ -97,7 +92,7 @@ def _cut(value: Any, size: Size) -> Size:
         return slice(index).indices(size)[1] if isinstance(size, int) else 0
     if isinstance(index, Scalar) and isinstance(size, int) and natural(index) and span(index)[1] <= size:
         return index.code
-    return f"int_cut({bare(index.code) if isinstance(index, Scalar) else index}, {bare(text(size))})"
+    return f"int_cut({bare(index.code) if isinstance(index, Scalar) else index}, {bare(str(size))})"
 
 
 def _between(start: Size, stop: Size) -> Size:
@@ -109,7 +104,7 @@ def _between(start: Size, stop: Size) -> Size:
     prefix = f"({start} + "
     if isinstance(stop, str) and stop.startswith(prefix) and stop[len(prefix) : -1].isdigit():
         return int(stop[len(prefix) : -1])
-    return f"int_max({text(stop)} - {start}, 0)"
+    return f"int_max({stop} - {start}, 0)"
 
 
 def count_of(shape: tuple[Size, ...]) -> Size:
@@ -142,8 +137,8 @@ def view(array: Array, index: list[Any]) -> Array | Scalar:
         else:
             offset = plus(offset, times(_at(at, size, array.checked), stride))
     if not shape:
-        return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
-    code = array.code if offset == 0 else f"({array.code} + {text(offset)})"
+        return Scalar(array.dtype, f"{array.code}[{bare(str(offset))}]")
+    code = array.code if offset == 0 else f"({array.code} + {offset})"
     return replace(array, shape=tuple(shape), strides=tuple(strides), code=code)
 
 
@@ -152,7 +147,7 @@ def element(array: Array, index: list[str]) -> Scalar:
     offset: Size = 0
     for name, stride in zip(index, array.strides, strict=True):
         offset = plus(offset, times(name, stride))
-    return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
+    return Scalar(array.dtype, f"{array.code}[{bare(str(offset))}]")
 
 
 def overwrites(target: Array, source: Lazy) -> bool:
@@ -213,11 +208,6 @@ def over_elements(operation: Callable[..., Any], operands: list[Any], scope: Any
 
     reads = tuple(part for array in arrays if array is not None for part in array.reads)
     return Lazy(at(["0"] * len(shape)).dtype, shape, at, reads)
-
-
-def known_array(value: Any) -> np.ndarray | None:
-    """The array of a known value, or None."""
-    return value.value if isinstance(value, Const) and isinstance(value.value, np.ndarray) else None
 
 
 def known_element(value: np.ndarray, index: list[Any]) -> Any:

@@ -117,23 +117,23 @@ class Assignments(Calls):
             if once and value.in_loop and value.code.isidentifier():
                 self.names[name] = value
                 return
-        kind = type_of(value if not isinstance(value, Const) else scalar(value))
-        kind = self.unify(name, kind)
+        self.names[name] = self._put_into_variable(name, value)
+
+    def _put_into_variable(self, name: str, value: Value) -> Value:
+        """Write a number, a struct or a view into a variable, and return what stands for it."""
+        kind = self.unify(name, type_of(scalar(value) if isinstance(value, Const) else value))
         place = self._variable(name, kind)
         if isinstance(kind, ArrayType):
             assert isinstance(value, Array)
             shape, strides = self.lengths(name, value, kind)
             self.write(f"{place} = {bare(value.code)};")
-            memory = value.memory if once else ""
-            self.names[name] = replace(
-                value, shape=shape, strides=strides, code=place, constant=kind.constant, memory=memory
-            )
-        elif isinstance(kind, RecordType):
+            memory = "" if self.often(name) else value.memory
+            return replace(value, shape=shape, strides=strides, code=place, constant=kind.constant, memory=memory)
+        if isinstance(kind, RecordType):
             self.write(f"{place} = {bare(self.as_record(value, kind))};")
-            self.names[name] = Record(kind, place)
-        else:
-            self.write(f"{place} = {bare(cast(value, kind).code)};")
-            self.names[name] = Scalar(kind, place, self.spanned(name, kind, scalar(value)))
+            return Record(kind, place)
+        self.write(f"{place} = {bare(cast(value, kind).code)};")
+        return Scalar(kind, place, self.spanned(name, kind, scalar(value)))
 
     def _check_form(self, name: str, value: Value) -> None:
         """Refuse a variable of which the translation cannot know what it is where ways through the kernel meet."""
@@ -169,26 +169,12 @@ class Assignments(Calls):
                     part = self.table(part.value, part.name or field)
             if isinstance(part, Group):
                 part = self._named_parts(label, part)
-            elif isinstance(part, Scalar):
-                kind = self.unify(label, type_of(part))
-                place = self._variable(label, kind)
-                self.write(f"{place} = {bare(cast(part, kind).code)};")
-                part = Scalar(kind, place, self.spanned(label, kind, part))
-            elif isinstance(part, Record):
-                kind = self.unify(label, type_of(part))
-                place = self._variable(label, kind)
-                self.write(f"{place} = {bare(self.as_record(part, kind))};")
-                part = Record(kind, place)
+            elif isinstance(part, Scalar | Record):
+                part = self._put_into_variable(label, part)
             elif isinstance(part, Array) and (often or not self.stays(part)):
                 if part.in_loop and (often or self.set_without(part.memory)):
                     raise TranslationError(f"{label} keeps an array that a loop allocates in every turn")
-                part = self.steady(part)
-                kind = self.unify(label, type_of(part))
-                place = self._variable(label, kind)
-                shape, strides = self.lengths(label, part, kind)
-                self.write(f"{place} = {bare(part.code)};")
-                memory = "" if often else part.memory
-                part = replace(part, shape=shape, strides=strides, code=place, constant=kind.constant, memory=memory)
+                part = self._put_into_variable(label, self.steady(part))
             parts.append((field, part))
         return Group(value.make, tuple(parts))
 
@@ -202,7 +188,7 @@ class Assignments(Calls):
             for axis, size in enumerate(sizes):
                 if known[axis] is None:
                     found[axis] = self._variable(f"{name}.{word}{axis or ''}", INT)
-                    self.write(f"{found[axis]} = {bare(arrays.text(size))};")
+                    self.write(f"{found[axis]} = {bare(str(size))};")
             return tuple(found)
 
         return kept(array.shape, kind.shape, "length"), kept(array.strides, kind.strides, "stride")

@@ -118,7 +118,7 @@ class Calls(Expressions):
         if not self.program.runs_here:
             raise TranslationError(f"an array of {count} numbers is too large for the stack: take it as an argument")
         self.locals[name] = Local(None, f"{dtype} *{name} = NULL;", within)
-        self.write(f"{name} = heap_array(sizeof({dtype}), {bare(arrays.text(count))});")
+        self.write(f"{name} = heap_array(sizeof({dtype}), {bare(str(count))});")
         self.uses_heap = True
         return array
 
@@ -150,7 +150,7 @@ class Calls(Expressions):
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             kind = INT if isinstance(size, str) else SMALL
-            self.write(f"{indent}for ({kind} {name} = 0; {name} < {arrays.text(size)}; ++{name}) {{")
+            self.write(f"{indent}for ({kind} {name} = 0; {name} < {size}; ++{name}) {{")
         number = value.at(names) if isinstance(value, Lazy) else value
         place = arrays.element(target, names)
         self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")
@@ -182,16 +182,17 @@ def _ordered(
     return values
 
 
-def _largest(self: Calls, *values: Value) -> Value:
-    return _chosen(self, "max", max, values)
+def _largest(_: Calls, *values: Value) -> Value:
+    return _chosen(max, values)
 
 
-def _least(self: Calls, *values: Value) -> Value:
-    return _chosen(self, "min", min, values)
+def _least(_: Calls, *values: Value) -> Value:
+    return _chosen(min, values)
 
 
-def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[Value, ...]) -> Value:
+def _chosen(function: Callable[..., Any], values: tuple[Value, ...]) -> Value:
     """The largest or least of some numbers, as Python chooses it: the later one only if it is beyond."""
+    name = function.__name__
     if len(values) < 2:
         raise TranslationError(f"{name} takes two numbers or more")
     if all(isinstance(value, Const) for value in values):
@@ -244,12 +245,10 @@ def _numbered(self: Calls, value: Value) -> Value:
     return self.tuple_of([self.tuple_of([Const(k), part]) for k, part in enumerate(parts_of(self.held(value)))])
 
 
-def _converts(dtype: str) -> Callable[..., Value]:
+def _converts(kind: Any, dtype: str) -> Callable[..., Value]:
     def convert(self: Calls, value: Value) -> Value:
-        if isinstance(value, Const) and dtype != SINGLE:
-            return Const({INT: int, REAL: float, BOOL: bool, UNSIGNED: np.uint64}[dtype](value.value))
         if isinstance(value, Const):
-            return Const(np.float32(value.value))
+            return Const(kind(value.value))
         if dtype == BOOL:
             return Scalar(BOOL, f"({scalar(value).code} != 0)")
         return cast(value, SMALL if dtype == INT and scalar(value).dtype == BOOL else dtype)
@@ -321,24 +320,22 @@ def _slice(self: Calls, *ends: Value) -> Value:
 
 
 def _add(self: Calls, words: Value, index: Value, more: Value) -> Value:
-    name = self.fresh(INT, "before")
-    word = arrays.view(cast_to_array(words), [index])
-    self.write(f"{name} = __atomic_fetch_add(&{word.code}, {bare(cast(more, INT).code)}, __ATOMIC_SEQ_CST);")
+    name, word = self.fresh(INT, "before"), _word(words, index)
+    self.write(f"{name} = __atomic_fetch_add(&{word}, {bare(cast(more, INT).code)}, __ATOMIC_SEQ_CST);")
     return Scalar(INT, name)
 
 
 def _look(self: Calls, words: Value, index: Value) -> Value:
-    name = self.fresh(INT, "seen")
-    word = arrays.view(cast_to_array(words), [index])
-    self.write(f"{name} = __atomic_load_n(&{word.code}, __ATOMIC_ACQUIRE);")
+    name, word = self.fresh(INT, "seen"), _word(words, index)
+    self.write(f"{name} = __atomic_load_n(&{word}, __ATOMIC_ACQUIRE);")
     return Scalar(INT, name)
 
 
-def cast_to_array(value: Value) -> Array:
-    """Take a value for the array that it has to be."""
-    if not isinstance(value, Array):
-        raise TranslationError(f"an array is expected, not {shown(value)}")
-    return value
+def _word(words: Value, index: Value) -> str:
+    """Element of an array, by its expression of C."""
+    if not isinstance(words, Array):
+        raise TranslationError(f"an array is expected, not {shown(words)}")
+    return arrays.view(words, [index]).code
 
 
 def _square(self: Calls, value: Value) -> Value:
@@ -348,9 +345,9 @@ def _square(self: Calls, value: Value) -> Value:
 TRANSLATED: dict[Any, Callable[..., Value]] = {
     **{max: _largest, min: _least, abs: _absolute, np.abs: _absolute, math.fabs: _in_double(_absolute)},
     **{len: _length, range: _range, enumerate: _numbered},
-    **{int: _converts(INT), float: _converts(REAL), bool: _converts(BOOL)},
-    **{np.float64: _converts(REAL), np.float32: _converts(SINGLE), np.int64: _converts(INT)},
-    **{np.uint64: _converts(UNSIGNED), slice: _slice, words.add: _add, words.look: _look},
+    **{int: _converts(int, INT), float: _converts(float, REAL), bool: _converts(bool, BOOL)},
+    **{np.float64: _converts(float, REAL), np.float32: _converts(np.float32, SINGLE), np.int64: _converts(int, INT)},
+    **{np.uint64: _converts(np.uint64, UNSIGNED), slice: _slice, words.add: _add, words.look: _look},
     **{np.sqrt: _of_real("real_sqrt", math.sqrt), math.sqrt: _in_double(_of_real("real_sqrt", math.sqrt))},
     **{np.floor: _of_real("real_floor", math.floor), np.ceil: _of_real("real_ceil", math.ceil)},
     **{math.floor: _of_real("real_floor", math.floor, INT), math.ceil: _of_real("real_ceil", math.ceil, INT)},

@@ -99,12 +99,11 @@ class Expressions(Scope):
     def _subscript(self, node: ast.Subscript) -> Value:
         owner = self.value(node.value)
         index = self.indices(node.slice)
-        known = arrays.known_array(owner)
-        if known is not None:
-            found = arrays.known_element(known, index)
+        if isinstance(owner, Const) and isinstance(owner.value, np.ndarray):
+            found = arrays.known_element(owner.value, index)
             if found is not None and isinstance(found.value, NUMBERS):
                 return found
-            owner = self.table(known, owner.name if isinstance(owner, Const) else "")
+            owner = self.table(owner.value, owner.name)
         if isinstance(owner, Array):
             found = arrays.view(owner, index)
             return scalar(found) if isinstance(found, Scalar) else found
@@ -140,17 +139,17 @@ class Expressions(Scope):
             if node.step is not None:
                 raise TranslationError(f"slices with a step are not translated: {ast.unparse(node)}")
             parts = [Const(None) if part is None else self.value(part) for part in (node.lower, node.upper)]
-            return tuple(None if part == Const(None) else self._end(part) for part in parts)
-        found = self.value(node)
-        if isinstance(found, Const) and isinstance(found.value, slice):
-            return tuple(None if part is None else Const(part) for part in (found.value.start, found.value.stop))
-        if make_of(found) is slice:
-            return tuple(None if part == Const(None) else self._end(part) for part in parts_of(found))
-        return found
-
-    def _end(self, value: Value) -> Value:
-        """End of a slice, which nothing changes that is written into the slice."""
-        return self.held(value) if reads_memory(value) else value
+        else:
+            found = self.value(node)
+            if isinstance(found, Const) and isinstance(found.value, slice):
+                parts = [Const(found.value.start), Const(found.value.stop)]
+            elif make_of(found) is slice:
+                parts = parts_of(found)
+            else:
+                return found
+        # What is written into the slice changes none of its ends.
+        held = [self.held(part) if reads_memory(part) else part for part in parts]
+        return tuple(None if part == Const(None) else part for part in held)
 
     def _tuple(self, node: ast.Tuple) -> Value:
         return self.tuple_of(self.entries(node.elts))
@@ -229,9 +228,9 @@ class Expressions(Scope):
 
     def _unaryop(self, node: ast.UnaryOp) -> Value:
         kind = type(node.op)
-        operand = self.asked(node.operand) if kind is ast.Not else self.value(node.operand)
         if kind is ast.Not:
-            return Const(not operand.value) if isinstance(operand, Const) else unary(kind, operand)
+            return unary(kind, self.asked(node.operand))
+        operand = self.value(node.operand)
         over = arrays.over_elements(lambda a: unary(kind, a), [operand], self)
         return unary(kind, operand) if over is None else over
 
@@ -351,9 +350,6 @@ class Expressions(Scope):
         a, b = scalar(first), scalar(second)
         dtype = joined(a.dtype, b.dtype)
         return Scalar(dtype, f"({asked.code} ? {cast(first, dtype).code} : {cast(second, dtype).code})", either(a, b))
-
-    def _call(self, node: ast.Call) -> Value:
-        raise NotImplementedError
 
 
 def _is_tuple(value: Value) -> bool:

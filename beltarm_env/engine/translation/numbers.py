@@ -37,7 +37,7 @@ PYTHON_OPERATORS: dict[type, Callable[..., Any]] = {
     **{ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod, ast.Pow: operator.pow},
     **{ast.BitAnd: operator.and_, ast.BitOr: operator.or_, ast.BitXor: operator.xor},
     **{ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le},
-    **{ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not},
+    **{ast.Gt: operator.gt, ast.GtE: operator.ge},
     **{ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: operator.not_},
     **{ast.LShift: operator.lshift, ast.RShift: operator.rshift},
 }
@@ -157,7 +157,8 @@ def binary(kind: type, left: Any, right: Any) -> Any:
     """
     if isinstance(left, Const) and isinstance(right, Const):
         values: list[Any] = [left.value, right.value]
-        if all(isinstance(one, NUMBERS) and type(one) is not np.uint64 for one in values) and _wider(*values) == REAL:
+        plain = all(isinstance(one, NUMBERS) and type(one) is not np.uint64 for one in values)
+        if plain and joined(*map(dtype_of_number, values)) == REAL:
             values = [float(one) if dtype_of_number(one) == SINGLE else one for one in values]
         with np.errstate(all="ignore"):
             if kind is ast.Div and values[1] == 0:
@@ -203,10 +204,6 @@ def _unsigned(kind: type, left: Any, right: Any) -> Scalar:
     if kind in (ast.LShift, ast.RShift) and not (isinstance(right, Const) and right.value < 64):
         return Scalar(UNSIGNED, f"shift_{'left' if kind is ast.LShift else 'right'}({bare(a.code)}, {bare(b.code)})")
     return Scalar(BOOL if kind in COMPARISONS else UNSIGNED, f"({a.code} {UNSIGNED_OPERATORS[kind]} {b.code})")
-
-
-def _wider(left: Any, right: Any) -> str:
-    return joined(dtype_of_number(left), dtype_of_number(right))
 
 
 def _power(base: Scalar, exponent: Any) -> Scalar:
