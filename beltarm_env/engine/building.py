@@ -186,9 +186,8 @@ def build(
     flags = (*FLAGS, *_machine_flags(program, target or level(), system), *options)
     digest = sha256("\0".join((whole, *flags, program.version, system or platform.machine())).encode()).hexdigest()
     file = f"{name}.{digest[:32]}{'.dll' if _is_windows(system) else '.so'}"
-    usable = _loads if system is None else _is_there
     for folder in _folders():
-        if usable(folder / file):
+        if _is_usable(folder / file, system):
             return folder / file
     folder = cache_folder()
     if folder is None:
@@ -196,7 +195,7 @@ def build(
     path = folder / file
     try:
         with _turn(path):
-            if not usable(path):  # no other process has built it meanwhile
+            if not _is_usable(path, system):  # no other process has built it meanwhile
                 _compile(program, flags, whole, path, system)
     except OSError as error:
         raise BuildError(f"{name}: {error}") from error
@@ -205,7 +204,7 @@ def build(
 
 def found(file: str, *folders: Path) -> Path | None:
     """Return the object of a name that was built before, in the cache or some folders; None if there is none."""
-    return next((path for folder in folders or _folders() if _loads(path := folder / file)), None)
+    return next((path for folder in folders or _folders() if _is_usable(path := folder / file)), None)
 
 
 def setting() -> tuple[str, str, str]:
@@ -306,23 +305,16 @@ def _machine_flags(program: Compiler, target: str, system: str | None) -> tuple[
     return *flags, f"-march={march}", *wide
 
 
-def _loads(path: Path) -> bool:
-    """Tell whether a file is there and not damaged."""
+def _is_usable(path: Path, system: str | None = None) -> bool:
+    """Tell whether an object is there and not damaged; one of another kind of machine is not loaded for that."""
     try:
         if not _complete(path):
             return False
-        load(path)
+        if system is None:
+            load(path)
     except OSError:
         return False
     return True
-
-
-def _is_there(path: Path) -> bool:
-    """Tell whether a file is there, of another kind of machine."""
-    try:
-        return _complete(path)
-    except OSError:
-        return False
 
 
 def _complete(path: Path) -> bool:
@@ -374,7 +366,7 @@ def _compile(program: Compiler, flags: Sequence[str], text: str, path: Path, sys
         lean = [_RUNTIME] if program.zig and linux else []
         libraries = [] if _is_windows(system) else ["-lm"]
         _run(program, [*flags, *lean], source, made, libraries)
-        if lean and system is None and not _loads(made):
+        if lean and system is None and not _is_usable(made):
             _run(program, flags, source, made, libraries)
         with made.open("rb") as file:
             os.fsync(file.fileno())

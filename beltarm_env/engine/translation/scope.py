@@ -86,7 +86,6 @@ class Scope:
     forms: dict[str, Any] = field(default_factory=dict)  # of variables that are assigned more than once
     source: Any = None  # function whose statements are translated
     uses_heap: bool = False
-    temporaries: set[str] = field(default_factory=set)  # names of C that are assigned once, from the translation's need
 
     def write(self, text: str) -> None:
         """Write a line; checks in it say where they are."""
@@ -183,7 +182,6 @@ class Scope:
         if isinstance(value, Array):
             value = self.steady(value)
         name = self.fresh(type_of(value), "t")
-        self.temporaries.add(name)
         self.write(f"{name} = {bare(value.code)};")
         return replace(value, code=name)
 
