@@ -76,14 +76,6 @@ def new_renderer(model: str, render_mode: Literal["human", "rgb_array"]) -> Rend
     return Renderer(render_mode, WINDOW_FPS)
 
 
-def _engine(model: str, num_arms: int) -> Engine | None:
-    if model != "mujoco":
-        return None
-    from beltarm_env.mujoco.engine import MuJoCoArms
-
-    return MuJoCoArms(num_arms)
-
-
 def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
     if value not in allowed:
         raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
@@ -161,8 +153,11 @@ class ArmBatch:
         delays, real_drives = _delays(delay, num_arms), np.zeros(num_arms, np.bool_)
         self._setup = at.Setup(self.resolution, delays, real_drives, self.num_moves, self.profile, self.model)
         self.blocks = at.empty_blocks(num_arms, lanes)
-        self.engine = _engine(model, num_arms)
-        if self.engine is not None:
+        self.engine: Engine | None = None
+        if model == "mujoco":
+            from beltarm_env.mujoco.engine import MuJoCoArms
+
+            self.engine = MuJoCoArms(num_arms)
             self.engine.check(self._bounds)
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         observed, acted = _spaces(sensors)
@@ -285,11 +280,6 @@ class ArmBatch:
     def step_settings(self) -> at.StepSettings:
         """What all arms have in common in a step."""
         return at.StepSettings(self.profile, self.tier, self.model, self.real_drive, self.engine is None)
-
-    @property
-    def all_arms(self) -> Integers:
-        """Integers of all arms."""
-        return np.arange(self.num_arms)
 
     @property
     def states(self) -> Floats:

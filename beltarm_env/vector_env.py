@@ -147,7 +147,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         if options is not None and not isinstance(options, Mapping):
             raise TypeError(f"options must be a mapping, got {options!r}")
         options = dict(options or {})
-        arms = self._batch.all_arms
+        arms = np.arange(self.num_envs)
         if "reset_mask" in options:
             arms = np.flatnonzero(self._checked_mask(options.pop("reset_mask")))
             if not self._ready:
