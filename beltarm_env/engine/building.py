@@ -241,7 +241,10 @@ def load_glue() -> ModuleType:
         raise BuildError("_glue: it is made for CPython with its global lock")
     from beltarm_env.engine import shipped
 
-    path = shipped.glue() or build_glue()
+    path = shipped.glue()
+    if path is None:  # built for every machine of this kind
+        library = [str(Path(sys.base_prefix) / "libs" / "python3.lib")] if os.name == "nt" else []
+        path = build(glue_text(), "_glue", target=baseline(), options=glue_options(library))
     name = f"{__package__}._glue"
     spec = spec_from_file_location(name, path, loader=ExtensionFileLoader(name, str(path)))
     assert spec is not None and spec.loader is not None
@@ -251,16 +254,6 @@ def load_glue() -> ModuleType:
     except ImportError as error:
         raise BuildError(f"_glue: {error}") from error
     return module
-
-
-def build_glue() -> Path:
-    """Build the module `_glue`, for every machine of this kind.
-
-    Raises:
-        BuildError: If it cannot be built.
-    """
-    library = [str(Path(sys.base_prefix) / "libs" / "python3.lib")] if os.name == "nt" else []
-    return build(glue_text(), "_glue", target=baseline(), options=glue_options(library))
 
 
 def glue_text() -> str:

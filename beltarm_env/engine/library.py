@@ -21,9 +21,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
-from importlib import import_module
-from operator import attrgetter
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from beltarm_env.engine import building, shipped
@@ -125,7 +124,7 @@ def _read(note: Path | None) -> dict[str, Any] | None:
 def _write(note: Path | None, entry: Entry, file: str) -> None:
     """Write a note, if it tells all: what the text is made of, and by their names the classes of the result."""
     if note is not None and entry.read is not None:
-        with suppress(OSError, AttributeError):
+        with suppress(OSError, AttributeError, ValueError):  # of a file, or of a class that its name does not lead to
             content = note_for(entry, file)
             if _from_data(content["result"]) != entry.result:
                 return
@@ -151,12 +150,12 @@ def _as_data(result: Any) -> Any:
     if result is None or result[0] == "array":
         return result
     _, make, parts = result
-    name = None if make is None else [make.__module__, make.__qualname__]
+    name = None if make is None else f"{make.__module__}:{make.__qualname__}"
     return ["tuple", name, [_as_data(part) for part in parts]]
 
 
 def _from_data(data: Any) -> Any:
     if data is None or data[0] == "array":
         return data
-    make = None if data[1] is None else attrgetter(data[1][1])(import_module(data[1][0]))
-    return ("tuple", make, [_from_data(part) for part in data[2]])
+    _, name, parts = data
+    return ("tuple", None if name is None else resolve_name(name), [_from_data(part) for part in parts])
