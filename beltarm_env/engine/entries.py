@@ -108,7 +108,7 @@ def entry_of(function: Callable[..., Any], arguments: tuple[Any, ...], checked: 
     while True:  # until no variable of a kernel that is written out here changes its type any more
         program = Program(runs_here=True, checked=checked)
         program.taken.update(_TAKEN)
-        scope = Function(program, {}, {}, kinds, negative, source=function)
+        scope = Function(program, {}, kinds, negative, source=function)
         taken = _Taken(scope)
         values = [taken.value(name, argument) for name, argument in zip(names, arguments, strict=False)]
         given = _Given(scope, {array.memory for array in taken.arrays}, values[-1] if values else None)

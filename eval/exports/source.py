@@ -172,7 +172,7 @@ def parts_of(program: Program) -> dict[str, str]:
 
 def body(program: Program, function: Any, values: list[Value], kind: str = REAL) -> str:
     """Lines of a public function that calls a translated one; `kind` is the type that it returns."""
-    scope = Function(program, {}, {})
+    scope = Function(program)
     result: Any = program.call(scope, getattr(function, "py_func", function), values)
     lines = list(scope.lines)
     if not isinstance(result, Const):

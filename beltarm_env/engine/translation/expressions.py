@@ -80,8 +80,8 @@ class Expressions(Scope):
         if isinstance(owner, Const):
             if isinstance(owner.value, np.ndarray) and node.attr == "shape":
                 return Const(owner.value.shape)
-            if node.attr in self.overrides:
-                return Const(self.overrides[node.attr], node.attr)
+            if node.attr in self.program.overrides:
+                return Const(self.program.overrides[node.attr], node.attr)
             value, prefix = getattr(owner.value, node.attr), f"{owner.name}_" if is_named_tuple(owner.value) else ""
             if isinstance(owner.value, ModuleType):
                 self.program.note(owner.value.__name__, node.attr, value)

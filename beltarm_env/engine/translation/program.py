@@ -245,7 +245,7 @@ class Program:
     def _body(self, function: Callable[..., Any], tree: ast.FunctionDef, kinds: dict[str, Any]) -> Function:
         closure = inspect.getclosurevars(function)
         outside = {**function.__globals__, **closure.nonlocals, **self.overrides}
-        body = Function(self, outside, self.overrides, kinds)
+        body = Function(self, outside, kinds)
         body.assigned, body.source = assignments(tree), function
         return body
 

@@ -64,8 +64,7 @@ class Scope:
     """Names and lines of one function."""
 
     program: Any
-    outside: dict[str, Any]  # globals and what a closure holds
-    overrides: dict[str, Any]
+    outside: dict[str, Any] = field(default_factory=dict)  # globals and what a closure holds
     kinds: dict[str, Any] = field(default_factory=dict)  # types of variables, from pass to pass
     negative: set[str] = field(default_factory=set)  # whole numbers that may be, from pass to pass
     names: dict[str, Value] = field(default_factory=dict)

@@ -145,7 +145,7 @@ def test_refused(number: int, tmp_path: Path):
 
     def translate() -> None:
         program = Program()
-        program.call(Function(program, {}, {}), module.kernel, [*map(value_of, "abc", given)])
+        program.call(Function(program), module.kernel, [*map(value_of, "abc", given)])
 
     refused((TranslationError, NotConstantError), (*words, *place), translate)
 
