@@ -24,7 +24,7 @@ from beltarm_env.kernels.moves import move_totals, next_moves
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_rooms
 from beltarm_env.physics.models import model_of
-from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
+from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, fastest_arms
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.options import checked_column, checked_names, checked_states
@@ -146,7 +146,7 @@ class ArmBatch:
         self.model = model_of(model)
         self.num_moves = whole("moves", moves, 1, MOST_MOVES)
         self._bounds = shared_bounds(randomization, self.num_moves)
-        check_ranges_integrable(fastest_of_moves(self._bounds, self.num_moves), self.model)
+        check_integrable(fastest_arms(fastest_of_moves(self._bounds, self.num_moves)), self.model)
         self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._num_real = 0
         self._substeps = 0  # integration steps per sample that were asked for; 0 for those that the arms need

@@ -125,11 +125,6 @@ def check_integrable(table: Floats, model: Model) -> None:
             )
 
 
-def check_ranges_integrable(bounds: Floats, model: Model) -> None:
-    """Check the fastest arms within some ranges, see `range_bounds` and `check_integrable`."""
-    check_integrable(fastest_arms(bounds), model)
-
-
 _FASTER_UP = (
     *(COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction, COLUMN.belt_stiffening),
     *(COLUMN.kinematic_error, COLUMN.static_friction_excess, COLUMN.coulomb_friction, COLUMN.friction_variation),
