@@ -65,15 +65,12 @@ def _passed_on(lines: list[str], name: str) -> list[str]:
     uses = [k for k, line in enumerate(lines) if name in _words(line)]
     if len(uses) != 2 or uses[1] != uses[0] + 1:
         return lines
-    made, used = lines[uses[0]], lines[uses[1]]
-    indent = made[: len(made) - len(made.lstrip())]
-    source = made.strip().removeprefix(f"{name} = ").removesuffix(";")
-    if not made.strip().startswith(f"{name} = "):
+    indent, assigns, source = lines[uses[0]].partition(f"{name} = ")
+    used = lines[uses[1]].strip()
+    if not assigns or indent.strip() or not (used == f"return {name};" or used.endswith(f" = {name};")):
         return lines
-    if used.strip() in (f"return {name};",) or used.strip().endswith(f" = {name};"):
-        target = used.strip().removesuffix(f"{name};")
-        return [*lines[: uses[0]], f"{indent}{target}{source};", *lines[uses[1] + 1 :]]
-    return lines
+    joined = f"{indent}{used.removesuffix(f'{name};')}{source}"
+    return [*lines[: uses[0]], joined, *lines[uses[1] + 1 :]]
 
 
 def text_of(function: Callable[..., Any], name: str, body: Any, parameters: list[str]) -> str:

@@ -209,14 +209,10 @@ def is_named_tuple(value: Any) -> bool:
 
 def field_of(owner: Value, name: str) -> Value:
     """Field of a named tuple, by name."""
-    if isinstance(owner, Record):
-        for field, kind in owner.type.fields:
-            if field == name:
-                return _member(f"{owner.code}.{name}", kind)
-    if isinstance(owner, Group):
-        for field, value in owner.fields:
-            if field == name:
-                return value
+    if isinstance(owner, Record) and name in (kinds := dict(owner.type.fields)):
+        return _member(f"{owner.code}.{name}", kinds[name])
+    if isinstance(owner, Group) and name in (parts := dict(owner.fields)):
+        return parts[name]
     raise TranslationError(f"no field {name!r}")
 
 
