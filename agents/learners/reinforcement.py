@@ -143,10 +143,6 @@ class ModelLearner:
             model.replay_buffer.device = model.device
         self.env.restore(state["env"])
 
-    def close(self) -> None:
-        """Close the arms."""
-        self.env.close()
-
 
 def _diverged(model: BaseAlgorithm, seen: Singles | None) -> bool:
     """Whether weights of the policy, or its actions on observations, are not finite."""

@@ -211,9 +211,6 @@ class Student:
         self.rounds, self.advice = state["rounds"], state["advice"]
         self._regression.restore(state["regression"], self.config.device)
 
-    def close(self) -> None:
-        """Do nothing: no arms are held."""
-
     def fit(self) -> float:
         """Fit the student to the advice of the last rounds.
 

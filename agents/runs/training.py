@@ -77,10 +77,6 @@ class Learner(Protocol):
         """Restore a snapshot into a new learner of the same options."""
         ...
 
-    def close(self) -> None:
-        """Release resources."""
-        ...
-
 
 class TrainingMonitor:
     """Validates a run, keeps its best policy and a checkpoint, reports progress, and stops on request.
@@ -138,8 +134,7 @@ class TrainingMonitor:
             save_bundle(self.folder.last, self._completed_spec(scores), self.learner.actor().weights())
 
     def close(self) -> None:
-        """Release the learner's resources, and close the log."""
-        self.learner.close()
+        """Close the log."""
         self.logger.close()
 
     def begin(self) -> None:
