@@ -113,7 +113,7 @@ class ModelLearner:
         model.set_logger(monitor.logger)
         remaining = config.total_steps - model.num_timesteps
         try:
-            model.learn(remaining, pauses, config.log_interval, reset_num_timesteps=not config.resume)
+            model.learn(remaining, pauses, config.log_interval, reset_num_timesteps=False)  # a new one has none
         except ValueError:
             if _diverged(model, pauses.locals.get("new_obs")):
                 message = f"diverged at {model.num_timesteps} steps: start again with a smaller --learning-rate"

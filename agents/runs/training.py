@@ -91,23 +91,22 @@ class TrainingMonitor:
         self.folder = folder
         self.channel = channel
         self.learner = config.make_learner()
-        self.progress: dict[str, Any] = {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
+        begun = {"command": command, "length": config.length}
+        self.progress: dict[str, Any] = {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": [], **begun}
         resumed = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
         if resumed:
             self.progress = folder.load(self.learner.restore)
-            if config.length < min(self.learner.steps, self.progress.get("length", 0)):  # a rollout may go beyond it
+            if config.length < min(self.learner.steps, self.progress["length"]):  # a rollout may go beyond it
                 raise ValueError(
                     f"the run in {folder.folder} has {self.learner.steps} agent steps already, more than it is now "
                     f"to end at, {config.length}: give a larger --total-steps or --rounds"
                 )
-        commands = self.progress.setdefault("command", command)
-        self._has_another_length = self.progress.get("length", config.length) != config.length
+        self._has_another_length = self.progress["length"] != config.length
         if self._has_another_length:
-            commands = self.progress["command"] = f"{commands} && {command}"
-        self.progress["length"] = config.length
+            self.progress |= {"command": f"{self.progress['command']} && {command}", "length": config.length}
         folder.note(config, self.progress["curve"] if resumed else None)
         options = json.loads(json.dumps(asdict(config), default=str))
-        self.spec = config.spec(command=commands, **written_by(), config=options)
+        self.spec = config.spec(command=self.progress["command"], **written_by(), config=options)
         logs, suffix = str(folder.folder), f"_from_{self.learner.steps}" if resumed else ""
         self.logger = Logger(logs, [make_output_format(kind, logs, suffix) for kind in ("csv", "tensorboard")])
         self._report(self.learner.steps, self.progress["scores"] or "validating the base and the untrained policy")
