@@ -122,17 +122,16 @@ def load_controller(*folders: Path | str) -> ResidualController:
     bundles = [read_bundle(folder) for folder in folders]
     spec = bundles[0].spec
     for folder, bundle in zip(folders, bundles, strict=True):
-        if not are_alike(spec, bundle.spec):
+        if _built(bundle.spec) != _built(spec):
             raise ValueError(f"{folder} is not built as {folders[0]}: load each by itself")
     weights, columns = [bundle.weights for bundle in bundles], spec.columns()
     policy = NetworkPolicy(*weights, columns=columns, observed=len(spec.offered()))
     return ResidualController(make_base(spec.base, spec.sensors, spec.base_gains), policy, spec.residual)
 
 
-def are_alike(*specs: BundleSpec) -> bool:
-    """Whether policies differ in their weights, and in how they came about, alone."""
-    bare = [replace(spec, provenance={}) for spec in specs]
-    return all(spec == bare[0] for spec in bare)
+def _built(spec: BundleSpec) -> BundleSpec:
+    """What a policy is, without how it came about."""
+    return replace(spec, provenance={})
 
 
 def told_apart(ours: BundleSpec, theirs: BundleSpec) -> str | None:
@@ -140,9 +139,7 @@ def told_apart(ours: BundleSpec, theirs: BundleSpec) -> str | None:
 
     They have another seed, and all else alike. What only one of them says of its training does not count.
     """
-    said, others = (
-        {**spec.provenance.get("config", {}), **asdict(replace(spec, provenance={}))} for spec in (ours, theirs)
-    )
+    said, others = ({**spec.provenance.get("config", {}), **asdict(_built(spec))} for spec in (ours, theirs))
     both = (said.keys() & others.keys()) - {*NO_SETTINGS, "validation_every"}
     for name in sorted(both, key=lambda name: (name == "seed", name)):
         if (said[name] == others[name]) == (name == "seed"):

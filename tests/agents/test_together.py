@@ -9,7 +9,7 @@ import pytest
 from bundles import new_weights
 from refusals import refused
 
-from agents.policy.bundle import POLICIES, BundleSpec, are_alike, load_controller, read_spec, save_bundle
+from agents.policy.bundle import POLICIES, BundleSpec, load_controller, save_bundle
 from agents.policy.correction import Seen, correct, correction
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
@@ -67,8 +67,7 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
     for folder, hidden in ((small, 4), (other, 4), (wide, 5)):
         spec = BundleSpec("ppo", "paper", SETTINGS, (hidden,), provenance={"config": {"seed": 0, "out": folder.name}})
         save_bundle(folder, spec, new_weights(spec))
-    specs = [read_spec(folder)[0] for folder in (small, other, wide)]
-    assert are_alike(*specs[:2]) and not are_alike(*specs)
+    load_controller(small, other)
     refused(ValueError, (str(wide), str(small), "each by itself"), lambda: load_controller(small, wide))
     for another, words in ((wide, "hidden (4,) and (5,)"), (other, "seed 0 and 0")):
         refused(ValueError, (str(another), words, "NAME=FOLDER"), lambda one=another: learned_methods([small, one]))
