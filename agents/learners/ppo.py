@@ -129,11 +129,8 @@ class PpoConfig(OnPolicyConfig):
 
     def __post_init__(self) -> None:
         """Fill in the rounds, and the critic's steps, that stand where none are given."""
-        if self.teacher_rounds is None:
-            object.__setattr__(self, "teacher_rounds", 10 if self.base == "adaptive" else 0)
-        if self.critic_steps is None:
-            taught = min(140_000, self.total_steps * 7 // 20)
-            object.__setattr__(self, "critic_steps", taught if self.teacher_rounds else 0)
+        self.fill_in(teacher_rounds=10 if self.base == "adaptive" else 0)
+        self.fill_in(critic_steps=min(140_000, self.total_steps * 7 // 20) if self.teacher_rounds else 0)
 
     def usual(self) -> dict[str, Any]:
         """Options that stand for those not given, see `RunConfig.usual`."""
@@ -171,8 +168,8 @@ class PpoConfig(OnPolicyConfig):
         with warnings.catch_warnings():  # of a last batch that is smaller, as --batch-size says that it may be
             warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
             extractor = {"features_extractor_class": StandardisedInputs} if self.teacher_rounds else {}
-            model = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
-        model.critic_steps = self.critic_steps or 0
+            model: Any = PatientPPO("MlpPolicy", env, **self.arguments(**extractor))
+        model.critic_steps = self.critic_steps
         return model
 
 

@@ -24,6 +24,8 @@ from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
 _MAX_GRADIENT = 1.0
+# Options that the library calls the same:
+_SHARED = ("learning_rate", "buffer_size", "learning_starts", "batch_size", "gradient_steps", "tau", "target_entropy")
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,7 @@ class SacConfig(ReinforcementConfig):
 
     def __post_init__(self) -> None:
         """Fill in the steps before learning starts that stand where none are given."""
-        if self.learning_starts is None:
-            object.__setattr__(self, "learning_starts", min(25_000, self.total_steps // 2))
+        self.fill_in(learning_starts=min(25_000, self.total_steps // 2))
 
     @property
     def worst_reward(self) -> float:
@@ -75,8 +76,8 @@ class SacConfig(ReinforcementConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
-        require_bounds(self, batch_size=(1, None), gradient_steps=(1, None))
-        require_bounds(self, learning_starts=(0, self.total_steps - 1))  # else the run would end before it learns
+        # A run that learned from its last step on would end before it learns.
+        require_bounds(self, batch_size=(1, None), gradient_steps=(1, None), learning_starts=(0, self.total_steps - 1))
         require_bounds(self, noise=(0, None), tau=(0, 1), buffer_size=(max(self.arms, self.batch_size), None))
         self.positive("tau", "exploration", "initial_entropy_weight")
 
@@ -86,16 +87,10 @@ class SacConfig(ReinforcementConfig):
             "MlpPolicy",
             env,
             **self.arguments(optimizer_class=ClippedAdam),
-            learning_rate=self.learning_rate,
-            buffer_size=self.buffer_size,
-            learning_starts=self.learning_starts or 0,
-            batch_size=self.batch_size,
-            tau=self.tau,
+            **{name: getattr(self, name) for name in _SHARED},
             train_freq=(1, "step"),
-            gradient_steps=self.gradient_steps,
             action_noise=NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
             ent_coef=f"auto_{self.initial_entropy_weight}",
-            target_entropy=self.target_entropy,
         )
         actor: Any = model.actor
         with torch.no_grad():

@@ -138,6 +138,12 @@ class RunConfig(WithStorage):
         except (RuntimeError, AssertionError) as error:  # the latter where PyTorch was built without CUDA
             raise ValueError(f"--device {self.device} is not there ({in_a_line(error)}): use --device cpu") from None
 
+    def fill_in(self, **values: Any) -> None:
+        """Give values to those of these options that are None, as their defaults follow from other options."""
+        for name, value in values.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+
     def positive(self, *names: str) -> None:
         """Raise ValueError unless these options are finite and above 0."""
         for name in names:
