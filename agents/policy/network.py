@@ -62,7 +62,6 @@ class NetworkPolicy:
         self.observed = shape.inputs if observed is None else observed
         self.columns = np.arange(self.observed) if columns is None else np.array(columns)
         """Place of each input in the observation."""
-        self._picks = not np.array_equal(self.columns, np.arange(self.observed))
         self.networks = tuple(map(_network, weights))
         self.memory = shape.memory
         """Shape of a row's memory."""
@@ -92,7 +91,7 @@ class NetworkPolicy:
             )
         if count % shares:
             raise ValueError(f"{shares} policies share rows equally, got {count}: give a multiple of {shares}")
-        inputs = np.array(observation[:, self.columns] if self._picks else observation, np.float32, order="C")
+        inputs = np.ascontiguousarray(observation[:, self.columns], np.float32)
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
         parts = (np.split(array, shares) for array in (inputs, memory.reshape(count, -1), residuals))
