@@ -33,6 +33,7 @@ from baselines.tools.command import this_python
 from baselines.tools.files import read_regular, write_bytes
 from baselines.tools.schema import in_a_line
 from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.batch import whole
 from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
 
@@ -65,15 +66,12 @@ class Observer(Standardised):
     _units: torch.Tensor
 
     def __init__(self, knowledge: Knowledge = "belief", width: int = 32, hold: int = 4) -> None:
-        for name, value, most in (("width", width, MAX_WIDTH), ("hold", hold, 100)):
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-                raise ValueError(f"an observer's {name} must be a whole number from 1 to {most}, got {value!r}")
         entries = offered(knowledge)
         columns = [k for k, entry in enumerate(entries) if entry.name != "base_torque"]
         names = [entries[k].name for k in columns]
         super().__init__(len(names))
         self.knowledge: Knowledge = knowledge
-        self.width, self.hold = width, hold
+        self.width, self.hold = whole("width", width, 1, MAX_WIDTH), whole("hold [samples]", hold, 1, 100)
         self.columns = np.array(columns)
         self._offered = len(entries)
         self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None

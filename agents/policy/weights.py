@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from beltarm_env.arrays import Singles
+from beltarm_env.batch import whole
 
 ACTIVATIONS = ("tanh", "relu", "elu")
 MAX_WIDTH = 1024
@@ -45,11 +46,10 @@ class ActorShape:
         """Check the sizes before memory is allocated."""
         if len(self.hidden) > MAX_LAYERS:
             raise ValueError(f"an actor has at most {MAX_LAYERS} hidden layers, got {len(self.hidden)}")
-        memories = (("the LSTM", 0, (self.lstm,)), ("the GRU", 0, (self.gru,)))
-        for name, least, widths in (("hidden layers", 1, self.hidden), *memories):
-            for width in widths:
-                if isinstance(width, bool) or not isinstance(width, int) or not least <= width <= MAX_WIDTH:
-                    raise ValueError(f"{name} must have a whole width from {least} to {MAX_WIDTH}, got {width!r}")
+        for width in self.hidden:
+            whole("the width of hidden layers", width, 1, MAX_WIDTH)
+        whole("the width of the LSTM", self.lstm, 0, MAX_WIDTH)
+        whole("the width of the GRU", self.gru, 0, MAX_WIDTH)
         if self.lstm and self.gru:
             raise ValueError(f"an actor has an LSTM or a GRU, got both, of {self.lstm} and {self.gru}")
         if self.activation not in ACTIVATIONS:

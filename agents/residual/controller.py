@@ -20,6 +20,7 @@ from baselines.guard.settings import GuardSettings
 from baselines.reading import beginning, chosen, one_or_many, require_memory, require_shape, warn_if_amid_a_move
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.batch import whole
 from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller, require_controller
 
@@ -41,9 +42,7 @@ class ResidualSettings:
         number = isinstance(self.limit, int | float) and not isinstance(self.limit, bool)
         if not (number and 0 < self.limit <= 2):
             raise ValueError(f"residual limit must lie in (0, 2] of the torque limit, got {self.limit!r}")
-        whole = isinstance(self.hold, int) and not isinstance(self.hold, bool)
-        if not (whole and 1 <= self.hold <= 100):
-            raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
+        whole("residual hold [samples]", self.hold, 1, 100)
         if self.knowledge not in ENTRIES:
             raise ValueError(f"knowledge must be one of {', '.join(ENTRIES)}, got {self.knowledge!r}")
 
