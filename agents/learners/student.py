@@ -48,8 +48,6 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.ranges import RANGES, resolve_ranges
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
-MAX_GRADIENT = 5.0
-"""Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 _HUBER = 0.2  # threshold of the loss, as a share of the torque limit
 _FAR = 2.0  # errors of a filter that count less, over those of the first round
@@ -154,7 +152,7 @@ class Student:
         actor = ObservingActor(shape if inputs is None else replace(shape, inputs=inputs))
         for parameter in actor.layers[-1].parameters():
             nn.init.zeros_(parameter)  # so that it does what its base does
-        self._regression = Regression(actor, MAX_GRADIENT)
+        self._regression = Regression(actor)
 
     @property
     def steps(self) -> int:

@@ -10,7 +10,6 @@ The fit is the least negative log-likelihood of the truth, by Adam; what acts is
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import shutil
 import time
@@ -53,7 +52,6 @@ from beltarm_env.task.seeds import OBSERVER
 STUDENT = POLICIES / "student" / "seed0"
 """Policy that acts where a source is the student."""
 _MEMORY = 0.97  # of the noise from sample to sample: 50 ms
-_MAX_GRADIENT = 5.0
 _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
 _BLOCK = 128  # episodes that are simulated side by side, and kept in one file
 _MOVES = 4
@@ -258,14 +256,13 @@ def fit(observer: Observer, episodes: Episodes, config: ObserverConfig) -> Itera
     errors = episodes.truth - observer.believed(episodes.inputs.float())
     observer.error = errors.flatten(0, 1).square().mean(dim=0).sqrt()
     del errors  # as large as all episodes
-    network = copy.deepcopy(observer)
-    regression = Regression(network, _MAX_GRADIENT)
+    regression = Regression(observer)
     count = episodes.truth.shape[1]
     batches = [rows for _ in range(config.epochs) for rows in torch.randperm(count).split(config.batch_size)]
     for k, rows in enumerate(batches):
         memory = None
         for segment in zip(*(part[:, rows].split(max(_SEGMENT // observer.hold, 1)) for part in episodes), strict=True):
-            loss, memory = negative_log_likelihood(network, Episodes(*segment), memory)
+            loss, memory = negative_log_likelihood(observer, Episodes(*segment), memory)
             memory = memory.detach()
             if not np.isfinite(loss.item()):
                 raise ValueError("the observer diverged: fit it with a smaller --learning-rate")

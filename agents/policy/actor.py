@@ -21,6 +21,7 @@ MODULES: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": 
 """Of `weights.ACTIVATIONS`."""
 _LEAST_DEVIATION = 1e-3  # of an input that is used: of one that never varies in training nothing is learnt
 _UNUSED = 1e6  # deviation by which an input is standardised that is not used
+_MAX_GRADIENT = 5.0  # norm to which a gradient is cut
 _WARM_UP = 50  # gradient steps over which the learning rate rises, and the average's memory grows
 _DECAY = 0.998  # share of the average that a gradient step leaves
 
@@ -114,11 +115,10 @@ def pairs_of(actor: Actor, policy: Any) -> list[tuple[nn.Module, nn.Module]]:
 
 
 class Regression:
-    """Fit of a network by gradient steps (Adam), cut at a norm; it acts by the running average of its weights."""
+    """Fit of a network by gradient steps (Adam) of a bounded norm; it acts by the running average of its weights."""
 
-    def __init__(self, network: nn.Module, max_gradient: float) -> None:
+    def __init__(self, network: nn.Module) -> None:
         self.network: Any = network
-        self._max_gradient = max_gradient
         self._average = AveragedModel(network, avg_fn=_running_average)
         self._optimiser = torch.optim.Adam(network.parameters())
 
@@ -129,7 +129,7 @@ class Regression:
             group["lr"] = rate
         self._optimiser.zero_grad()
         loss.backward()
-        clip_grad_norm_(self.network.parameters(), self._max_gradient)
+        clip_grad_norm_(self.network.parameters(), _MAX_GRADIENT)
         self._optimiser.step()
         self._average.update_parameters(self.network)
 
@@ -142,7 +142,7 @@ class Regression:
         """State that determines the next step."""
         return {name: getattr(self, name).state_dict() for name in _PARTS}
 
-    def restore(self, state: dict[str, Any], device: str = "cpu") -> None:
+    def restore(self, state: dict[str, Any], device: str) -> None:
         """Restore a state into a new regression of the same network, which goes on on this device."""
         self.network.to(device)  # before Adam's moments, which are put where the weights are
         for name in _PARTS:
