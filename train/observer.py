@@ -18,11 +18,5 @@ try:
 except ModuleNotFoundError as error:
     stop_without("train/observer.py", error)
 
-
-def main() -> None:
-    """Command line."""
-    run_command(__file__, ObserverConfig, run, __doc__)
-
-
 if __name__ == "__main__":
-    main()
+    run_command(__file__, ObserverConfig, run, __doc__)
