@@ -23,7 +23,6 @@ MAX_WIDTH = 1024
 MAX_LAYERS = 8
 FARTHEST = 5.0
 """Bound of a standardised input, in deviations."""
-_GATES = {"": 0, "lstm": 4, "gru": 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ class ActorShape:
     @property
     def gates(self) -> int:
         """Width of its gates side by side, 0 for none."""
-        return _GATES[self.recurrent] * self.memory_width
+        return 4 * self.lstm or 3 * self.gru
 
     @property
     def memory(self) -> tuple[int, ...]:
