@@ -18,7 +18,7 @@ without onnxscript is deprecated.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from agents.policy.bundle import read_bundle
-from agents.policy.weights import FARTHEST, Weights
+from agents.policy.weights import FARTHEST, ActorShape, Weights
 from baselines.tools.files import write_bytes
 from beltarm_env.arrays import Singles
 
@@ -91,9 +91,9 @@ def _network(weights: Weights) -> tuple[list[str], dict[str, Any]]:
         nodes += ["standardised = Clip (ratio, low, high)"]
         features = "standardised"
     if shape.recurrent:
-        own, recurrent = _gru(weights, features) if shape.gru else _lstm(weights, features)
-        nodes, constants = [*nodes, *own], constants | recurrent
+        nodes += [f"steps = Unsqueeze ({features}, first)", *_step(shape)]
         nodes += [f"seen = Concat <axis = 1> ({features}, memory)" if shape.gru else "seen = Identity (memory)"]
+        constants |= _recurrent_constants(weights)
         features = "seen"
     layers = weights.layers()
     for k, (matrix, offset) in enumerate(layers):
@@ -109,35 +109,29 @@ def _network(weights: Weights) -> tuple[list[str], dict[str, Any]]:
     return [*nodes, f"residual = Clip ({features}, minus_one, one)"], constants
 
 
-def _gru(weights: Weights, features: str) -> tuple[list[str], dict[str, Any]]:
-    """Nodes and constants of a GRU, for one step."""
+def _step(shape: ActorShape) -> list[str]:
+    """Nodes of a GRU or LSTM, for one step."""
+    width, weights = shape.memory_width, "input_weight, hidden_weight, recurrent_bias"
+    if shape.gru:
+        return [
+            "before = Unsqueeze (state, first)",
+            f", hidden = GRU <hidden_size = {width}, linear_before_reset = 1> (steps, {weights}, , before)",
+            "next_state = Squeeze (hidden, first)",
+            "memory = Identity (next_state)",
+        ]
     return [
-        f"steps = Unsqueeze ({features}, first)",
-        "before = Unsqueeze (state, first)",
-        f", hidden = GRU <hidden_size = {weights.shape.gru}, linear_before_reset = 1> "
-        "(steps, input_weight, hidden_weight, recurrent_bias, , before)",
-        "next_state = Squeeze (hidden, first)",
-        "memory = Identity (next_state)",
-    ], _recurrent_constants(weights, (1, 0, 2))
-
-
-def _lstm(weights: Weights, features: str) -> tuple[list[str], dict[str, Any]]:
-    """Nodes and constants of an LSTM, for one step."""
-    return [
-        f"steps = Unsqueeze ({features}, first)",
         "parts = Transpose <perm = [1, 0, 2]> (state)",
         "hidden_before, cell_before = Split <axis = 0> (parts)",
-        f", hidden, cell = LSTM <hidden_size = {weights.shape.lstm}> "
-        "(steps, input_weight, hidden_weight, recurrent_bias, , hidden_before, cell_before)",
+        f", hidden, cell = LSTM <hidden_size = {width}> (steps, {weights}, , hidden_before, cell_before)",
         "parts_after = Concat <axis = 0> (hidden, cell)",
         "next_state = Transpose <perm = [1, 0, 2]> (parts_after)",
         "memory = Squeeze (hidden, first)",
-    ], _recurrent_constants(weights, (0, 3, 1, 2))
+    ]
 
 
-def _recurrent_constants(weights: Weights, order: Sequence[int]) -> dict[str, Any]:
+def _recurrent_constants(weights: Weights) -> dict[str, Any]:
     """Weights with the gates in ONNX's order: z, r, n of a GRU, i, o, f, g of an LSTM; one direction comes first."""
-    width = weights.shape.memory_width
+    width, order = weights.shape.memory_width, (1, 0, 2) if weights.shape.gru else (0, 3, 1, 2)
     (input_weight, input_bias), (hidden_weight, hidden_bias) = weights.recurrent()
 
     def gates(rows: Singles) -> Singles:
