@@ -113,13 +113,13 @@ class TuningConfig(SideBySide):
         """Options of the training run of a trial."""
         kind: Any = ALGORITHMS[self.algorithm]
         shared = {"out": self.out / f"{self.algorithm}-trial{number}", **self.given()}
-        options = {name: value for name, value in kind(**shared).usual().items() if name not in shared} | settings
+        options = {**kind(**shared).usual(), **settings, **shared}
         if "hidden" in settings:
             options["hidden"] = [int(width) for width in settings["hidden"].split()]
         steps = self.samples // options.get("hold", kind.hold)
         options |= {"arms": self.arms, "validation_arms": self.validation_arms, "total_steps": steps}
         options["validation_every"] = -(-steps // _VALIDATIONS)
-        return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **shared, **options)
+        return kind(seed=_FIRST_SEED + number % _SEEDS, overwrite=True, **options)
 
     def given(self) -> dict[str, Any]:
         """Options of all trials that are not the script's own; no teacher is, whose samples would count."""
@@ -268,9 +268,9 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
     if not any(trial.state == TrialState.COMPLETE for trial in trials):
         failures = filter(None, (trial.user_attrs.get("failure") for trial in trials))
         raise ValueError(f"no trial of {config.file('journal')} was completed; {next(failures, 'none was run')}")
-    options = {**config.given(), **study.best_params}
+    options = {**config.given(), **study.best_params, "arms": config.arms}
     arguments = list[str]()
     for name, value in options.items():
         shown = f"{value:.6g}" if isinstance(value, float) else str(value)
         arguments += [f"--{name.replace('_', '-')}", *shown.split()]
-    return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *arguments, '--arms', str(config.arms)])}"
+    return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *arguments])}"
