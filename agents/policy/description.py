@@ -35,7 +35,6 @@ _COUNT, _TIME = (kind | {"minimum": 0, "maximum": 10**15} for kind in (INTEGER, 
 _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}
 _ENTRY = {"type": "array", "prefixItems": [TEXT, TEXT, NUMBER, NUMBER], "minItems": 4, "maxItems": 4}
-_MOVES = INTEGER | {"minimum": 1, "maximum": MOST_MOVES}
 _SAID_OTHERWISE = ("inputs", "base_gains")  # by `entries` and by `base_settings`
 _NAMED_NUMBERS = {"type": "object", "propertyNames": {"pattern": r"^\w+\Z"}, "additionalProperties": NUMBER}
 _PROVENANCE = {
@@ -47,7 +46,7 @@ _PROVENANCE = {
         ("seed", "randomization", "moves", "nominal"),
         seed=INTEGER,
         randomization={"enum": list(RANGES)},
-        moves=_MOVES,
+        moves=INTEGER | {"minimum": 1, "maximum": MOST_MOVES},
         nominal=list_of(TEXT),
     ),
     "run": object_of(("steps", "seconds"), **_RUN),
@@ -142,10 +141,7 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
             found = in_a_line(repr(content.get(name)), 80)
             raise BundleError(f"{path} has {name} {found}, this release has {now!r}: train it again")
     try:
-        check(content, f"{path} does not fit this release", SCHEMA)
-    except ValueError as error:
-        raise BundleError(str(error)) from None
-    try:
+        check(content, "its description", SCHEMA)
         known = {name: content[name] for name in BundleSpec.__slots__ if name not in _SAID_OTHERWISE}
         known |= {"residual": ResidualSettings(**content["residual"]), "hidden": tuple(content["hidden"])}
         spec = BundleSpec(**known)
@@ -153,7 +149,7 @@ def spec_of(content: dict[str, Any], path: Path) -> BundleSpec:
             spec = replace(spec, inputs=_names_of(content["entries"], spec.offered()))
         spec.shape()
     except ValueError as error:
-        raise BundleError(f"{path} does not fit this release: {in_a_line(error)}") from None
+        raise BundleError(f"{path} does not fit this release: {in_a_line(error, 400)}") from None
     before, now = content["base_settings"], base_settings(spec.base, spec.residual.knowledge)
     try:
         settings = base_settings(spec.base, spec.residual.knowledge, before.get("gains", {}))

@@ -159,11 +159,10 @@ class RunConfig(WithStorage):
     def identity(self) -> dict[str, Any]:
         """Identity of a run: its options, the gains of its base, and the observation layout."""
         options = {name: value for name, value in asdict(self).items() if name not in MAY_CHANGE}
-        settings = base_settings(self.base, self.knowledge)
         return {
             "algorithm": self.algorithm,
             "options": options,
-            "base_hash": settings_hash(settings),
+            "base_hash": settings_hash(base_settings(self.base, self.knowledge)),
             "layout": LAYOUT,
             "entries": self.spec().entries(),
         }
