@@ -48,9 +48,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles], RecordConstru
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self.observation_space: spaces.Space[Any] = residual_observation_space(
-            env.unwrapped.sensors, settings.knowledge
-        )
+        self.observation_space: spaces.Space[Any] = residual_observation_space(self._arm.sensors, settings.knowledge)
         self._memory: InformedMemory | None = None
 
     def reset(
@@ -181,9 +179,8 @@ class ResidualVecEnv(VecEnv):
         residual, observation = self._residual, np.empty(0, np.float32)
         assert self._memory is not None, "Stable-Baselines3 resets before it steps"
         for _ in range(self.settings.hold):
-            observation, reward, terminated, truncated, info = self.env.step(
-                combine(self._memory.action, residual, self.settings.limit)
-            )
+            command = combine(self._memory.action, residual, self.settings.limit)
+            observation, reward, terminated, truncated, info = self.env.step(command)
             ended, charge = terminated | truncated, info["cost_torque_rate"]
             if ended.any():
                 charge = np.where(ended, info["final_info"]["cost_torque_rate"], charge)
