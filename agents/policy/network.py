@@ -91,7 +91,7 @@ class NetworkPolicy:
             )
         if count % shares:
             raise ValueError(f"{shares} policies share rows equally, got {count}: give a multiple of {shares}")
-        inputs = np.ascontiguousarray(observation[:, self.columns], np.float32)
+        inputs = np.ascontiguousarray(observation.take(self.columns, axis=1), np.float32)
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
         parts = (np.split(array, shares) for array in (inputs, memory.reshape(count, -1), residuals))
