@@ -258,9 +258,14 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
     return [read_spec(folder)[1]["sha256"] for folder in folders]
 
 
+def learned_names() -> list[str]:
+    """Names of the learned methods that come with the project."""
+    return [folder.parent.name for folder in shipped_policies(1)]
+
+
 def project_names() -> list[str]:
     """Names of the project's own methods."""
-    return [*CONTROLLERS, PRIVILEGED, *dict.fromkeys(path.parent.name for path in shipped_policies())]
+    return [*CONTROLLERS, PRIVILEGED, *learned_names()]
 
 
 class OwnMethods(NamedTuple):

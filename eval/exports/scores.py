@@ -13,7 +13,7 @@ from baselines.tools.provenance import commit
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import NOT_ARRIVED, heading
 from beltarm_env.rollout import rollout
-from eval.comparison.methods import shipped_policies
+from eval.comparison.methods import learned_names
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.schema import AGAINST, read_results
 from eval.comparison.sets import set_of
@@ -140,14 +140,13 @@ def markdown(scores: Scores) -> str:
             costs[split], words = result, result.replace("open", "no difference shown")
             best = [f"`{other}` {level:.0f}", f"{cell('cost', estimate(pair, 'cost'))}: {words}"]
         table.append([split, *(cell(name, estimate(row, name)) for name in shown), *best])
-    shipped = {folder.parent.name for folder in shipped_policies()}
     return TEMPLATES.get_template("card_scores.md.j2").render(
         scores=scores,
         costs=costs,
         tied=tied,
         tie=100 * PRACTICALLY_EQUAL,
         table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
-        note=results.label.note_with([] if scores.method in shipped else [scores.method]),
+        note=results.label.note_with([] if scores.method in learned_names() else [scores.method]),
         home=home,
         row=first,
         provenance=results.content["provenance"],

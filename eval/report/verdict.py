@@ -17,7 +17,7 @@ import jinja2
 from baselines import CONTROLLERS, DOMINATED
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
 from beltarm_env.task.cost import STILL_BAND
-from eval.comparison.methods import PRIMARY, PRIVILEGED, is_shipped, project_names, shipped_policies
+from eval.comparison.methods import PRIMARY, PRIVILEGED, is_shipped, learned_names, shipped_policies
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.splits import EPISODES, MOVES, SPLITS
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, average, holm, mean_differences
@@ -38,7 +38,7 @@ _KINDS = {"learned": "learned method", "classical": "classical controller", "add
 
 def called(name: str, kind: str, ranking: Sequence[str]) -> str:
     """Call a method by its kind, and the best by its rank in all of them, or in those alone that took part."""
-    usual = {"classical": {*CONTROLLERS} - {*DOMINATED}, "learned": {*project_names()} - {*CONTROLLERS, PRIVILEGED}}
+    usual = {"classical": {*CONTROLLERS} - {*DOMINATED}, "learned": {*learned_names()}}
     best = "best " if ranking[0] == name else ""
     here = " of this run" if best and usual.get(kind, set[str]()) - {*ranking} else ""
     return f"the {best}{_KINDS[kind]}{here}, {name}"
@@ -87,10 +87,12 @@ class PairwiseTest:
     @property
     def alone(self) -> str:
         """What is shown of one average where the other does not show it; empty for nothing."""
-        middle = {True: "lower", False: "higher"}[self.middle.difference.iqm < 0] if self.middle.survives else ""
-        mean = "lower" if self.mean.high < 0 else ("higher" if self.mean.low > 0 else "")
-        shown = {f"the interquartile mean is {middle}": middle, f"the mean is {mean}": mean}
-        return " and ".join(words for words, way in shown.items() if way) if self.result == "open" else ""
+        shown = list[str]()
+        if self.middle.survives:
+            shown.append(f"the interquartile mean is {'lower' if self.middle.difference.iqm < 0 else 'higher'}")
+        if self.mean.high < 0 or self.mean.low > 0:
+            shown.append(f"the mean is {'lower' if self.mean.high < 0 else 'higher'}")
+        return " and ".join(shown) if self.result == "open" else ""
 
     @property
     def relative(self) -> float:
@@ -126,7 +128,7 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     own = [outcome for outcome in ranked if not is_shipped(outcome.method) and outcome is not pair[0]]
     arrivals = [(outcome, outcome.metrics[NOT_ARRIVED]) for outcome in (*pair, *own)]
     away = [(outcome, shares) for outcome, shares in arrivals if shares.any()]
-    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "splits": _asked(comparison)}
+    words = {"pair": pair, "home": home, "moves": pair[0].moves, "away": away, "asked": _asked(comparison)}
     words |= {"policies": pair[0].seeds, "all_policies": len(shipped_policies(method=pair[0].name))}
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
