@@ -60,8 +60,8 @@ def publish(
         ValueError: If no method is left, or results that are there would be lost.
     """
     scenes, traces, failures = record_scenes(comparison, splits, jobs)
-    before, comparison = comparison, comparison.with_failures(failures)
-    if len(comparison.outcomes) < len(before.outcomes):  # what is lost is neither drawn nor compared with
+    comparison = comparison.with_failures(failures)
+    if any(failure.varies for failure in failures):  # what is lost is neither drawn nor compared with
         return publish(comparison, splits, folder, jobs)
     require_rows_kept(folder / RESULTS, comparison)
     content = write_results(comparison, folder, *verdict(comparison))
