@@ -46,20 +46,20 @@ class RemembersItself(Proportional):
     """Keeps its memory in itself, and empties it as a batch begins."""
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic=True) -> Any:
-        if episode_start.any():
+        if episode_start is not None and episode_start.any():
             self.kept = getattr(self, "kept", None) if not episode_start.all() else None
         action, self.kept = super().predict(observation, getattr(self, "kept", None), episode_start)
         return action, None
 
 
+class AsksForStarts(Proportional):
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic=True) -> Any:
+        return super().predict(observation, state, episode_start.copy())
+
+
 class WithoutState(Proportional):
     def predict(self, *arguments: Any, **_: Any) -> Any:
         return super().predict(*arguments)[0]
-
-
-class WithoutArguments(Proportional):
-    def predict(self, observation: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return super().predict(observation)
 
 
 class AlwaysRandom(Proportional):
@@ -86,14 +86,14 @@ def spoilt(change: Callable[[Any, Any, Any], Any]) -> type[Proportional]:
 RANDOM = np.random.default_rng()
 CASES: dict[str, tuple[type, str, str]] = {
     "state": (WithoutState, "drives", r"must return \(torques, state\).*got ndarray"),
-    "arguments": (WithoutArguments, "drives", r"must take \(observation, state, episode_start"),
-    "deterministic": (AlwaysRandom, "drives", "deterministic"),
+    "arguments": (AlwaysRandom, "drives", r"must take \(observation, state, episode_start, deterministic\): .*deter"),
     "shape": (spoilt(lambda _, a, o: a[:, 0]), "drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
     "type": (spoilt(lambda _, a, o: a.astype(np.float64)), "drives", "got float64 of shape"),
     "nan": (spoilt(lambda c, a, o: a * np.float32(np.nan if c.calls == 50 else 1)), "drives", "in sample 49 .*nan"),
     "raises": (spoilt(lambda *_: {}["no gain"]), "drives", "KeyError: 'no gain'"),
     "input": (spoilt(lambda _, a, o: (a, o.fill(0))[0]), "drives", "changes the observation .* in sample 0"),
     "random": (spoilt(lambda _, a, o: a + np.float32(RANDOM.normal(0, 1e-3))), "same observations", "from sample 0 on"),
+    "starts": (AsksForStarts, "same observations", "'NoneType' object has no attribute 'copy'"),
     "late": (spoilt(lambda c, a, o: a + np.float32((c.calls > 1100) * RANDOM.random())), "same obs", "sample 1100 on"),
     "mixes": (spoilt(lambda _, a, o: a + np.float32(0.01) * a.mean()), "as if alone", "torques differ from sample"),
     "leaks": (Leaks, "without memory of the last", "torques differ from sample 0 on"),
