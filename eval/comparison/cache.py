@@ -6,8 +6,6 @@ scenarios, the method's gains, policies or sources, the code, and the versions o
 in its SHA-256: one that is damaged, or was changed by hand, is run again.
 """
 
-import hashlib
-import json
 import platform
 import re
 from collections.abc import Callable, Hashable, Sequence
@@ -35,7 +33,7 @@ from eval.comparison.carrying import Carried
 from eval.comparison.custom import PARTS
 from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.rollouts import Failure, attempt, changed, explained, run_controller
-from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
+from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, digest_of, side_by_side
 
 Metrics = dict[str, Floats]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
@@ -72,8 +70,7 @@ class Part:
         """File of its results, named by a key of everything that they depend on."""
         method, split = self.method, self.split
         content = [EDITION, VERSION, split.of, split.digest, self.count, method.name, method.kind, method.identity]
-        key = hashlib.sha256(json.dumps([*content, _code()]).encode()).hexdigest()[:16]
-        return folder / PARTS / f"{self.stem}.{key}.safetensors"
+        return folder / PARTS / f"{self.stem}.{digest_of([*content, _code()])[:16]}.safetensors"
 
     @property
     def stem(self) -> str:

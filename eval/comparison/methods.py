@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, groupby, islice
@@ -22,6 +20,7 @@ from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
 from eval.comparison.carrying import Carried, carry
+from eval.comparison.splits import digest_of
 
 Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
@@ -134,7 +133,7 @@ def classical_methods() -> list[Method]:
     """All classical controllers."""
     tuned = read_file()
     return [
-        Method(name, "classical", (name,), _hash(tuned.get(name, {}).get("gains")), _tuning_of(tuned.get(name, {})))
+        Method(name, "classical", (name,), digest_of(tuned.get(name, {}).get("gains")), _tuning_of(tuned.get(name, {})))
         for name in CONTROLLERS
     ]
 
@@ -151,17 +150,13 @@ def _all_gains() -> dict[str, Any]:
     return {name: entry.get("gains") for name, entry in read_file().items()}
 
 
-def _hash(content: object) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
 def _guarded(identity: str | None) -> str | None:
-    return identity and _hash([identity, "guard", _all_gains()])  # the servo's among them
+    return identity and digest_of([identity, "guard", _all_gains()])  # the servo's among them
 
 
 def privileged_method() -> Method:
     """Preview LQG with true constants and true state: the oracle."""
-    return Method(PRIVILEGED, "privileged", (PRIVILEGED,), _hash(_all_gains()))  # it has gains of `adaptive`
+    return Method(PRIVILEGED, "privileged", (PRIVILEGED,), digest_of(_all_gains()))  # it has gains of `adaptive`
 
 
 def added_method(spec: str, results: Path | None = None, time_limit: float = custom.TIME_LIMIT) -> Method:
@@ -178,11 +173,11 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
 def _identity(kind: Kind, sources: Sequence[str], results: Path | None = None) -> str | None:
     """Identity of a learned or an added method, by the files that are there now."""
     if kind == "learned":
-        return _hash([[read_spec(folder)[1]["sha256"] for folder in sources], _all_gains()])
+        return digest_of([[read_spec(folder)[1]["sha256"] for folder in sources], _all_gains()])
     home, where = custom.home(sources[0]), sources[0].rpartition(":")[0]
     inside = Path(where).resolve().relative_to(home).as_posix() if where.endswith(".py") else where
     own = custom.identity(home, results)
-    return own and _hash([own, inside, _all_gains()])
+    return own and digest_of([own, inside, _all_gains()])
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
