@@ -259,13 +259,12 @@ def _marks(outcomes: list[MethodOutcome], name: str) -> dict[str, Mark]:
     return {**marks, best.name: "best"}
 
 
-def provenance(command: str, methods: Sequence[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
+def provenance(methods: Sequence[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
     """Provenance of results to come: command, commit, digest of the code, scenarios, policies, packages."""
     packages = ["numpy", "scipy", "ziglang", "gymnasium"]
     packages += [name for name in ("torch", "stable-baselines3") if find_spec(name.replace("-", "_"))]  # of users' own
     return {
         **about(MEASURES, STARTS),
-        "command": command,
         "beltarm": __version__,
         "splits_version": splits.VERSION,
         "split_seeds": {name: split.seed for name, split in chosen.items()},

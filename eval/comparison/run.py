@@ -14,7 +14,6 @@ import numpy as np
 
 from baselines.engines.parallel import SideBySide
 from baselines.tools.files import require_writable
-from baselines.tools.provenance import command_line
 from beltarm_env.metrics import METRICS
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
 from eval.comparison.check import ActionTimes, first_failures, times_of
@@ -48,7 +47,7 @@ def compare(methods: Sequence[Method], scenarios: ScenarioSet, episodes: int, ru
     require_writable(folder)
     _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
-    origin, began = provenance(command_line(), methods, scenarios.splits), time.perf_counter()
+    origin, began = provenance(methods, scenarios.splits), time.perf_counter()
     failed, main = first_failures(methods), main_split(list(scenarios.splits))
     parts = {
         (split.name, method.name): parts_of(method, split, episodes, perturbed=split.name == main)

@@ -115,7 +115,7 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(publish, "plots", lambda *_: {})
         patch.setattr(publish, "render", lambda *_: "")
-        patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add=mine.py:Mine")
+        patch.setattr(provenance, "command_line", lambda: "python eval/compare.py --add=mine.py:Mine")
         assert stopped(compare.main, ("--add", "mine.py:Mine", *words), folder) == (0, "")
     return folder / "out"
 
