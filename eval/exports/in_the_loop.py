@@ -85,16 +85,16 @@ class InTheLoop:
         torques = self.torques(counts, begins, observation[:, _HOLDS_PART] > 0)
         return (torques / self._limit).astype(np.float32)[:, None], True
 
-    def torques(self, counts: Integers, begins: Flags | None, holding: Flags) -> Floats:
+    def torques(self, counts: Integers, begins: Flags, holding: Flags) -> Floats:
         """Torques [N m] for the counts of the encoders, shape (n,).
 
         Args:
             counts: Of the encoders, shape (n,).
-            begins: Which arms begin a move, whose torque is its first, shape (n,); None for none.
+            begins: Which arms begin a move, whose torque is its first, shape (n,).
             holding: Which grippers hold a part, shape (n,); counts where a move begins.
         """
         lines = []
-        for arm in [] if begins is None else np.flatnonzero(begins):
+        for arm in np.flatnonzero(begins):
             number = self._numbers[arm]
             move = " ".join(f"{value:.17g}" for value in np.append(self._moves[number, arm], holding[arm]))
             lines.append(f"{'next' if number else 'reset'} {arm} {move} {counts[arm]}")

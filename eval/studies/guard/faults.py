@@ -55,7 +55,6 @@ class FaultyArms(BeltArmVectorEnv):
         fault: Which one of `FAULTS`.
         onset: Samples since the move's start at which it begins, shape (num_envs,).
         samples: Since the episodes began.
-        refused: Commands that were no numbers, in place of which there was no torque.
     """
 
     def __init__(self, num_envs: int, fault: str, **settings: Any) -> None:
@@ -74,7 +73,7 @@ class FaultyArms(BeltArmVectorEnv):
         self._random = np.random.default_rng(seed)
         share = self._random.uniform(EARLIEST, LATEST, self.num_envs)
         self.onset = np.rint(share * self.moves[:, 2] / CONTROL_PERIOD).astype(np.intp)
-        self.samples = self.refused = 0
+        self.samples = 0
         self._running, self._lasted = np.ones(self.num_envs, np.bool_), np.zeros(self.num_envs)
         self._squares = np.zeros(self.num_envs)  # sum of the squared torques, over their limit, until an arm left
         self._shown = self._counts(seen)
@@ -88,9 +87,7 @@ class FaultyArms(BeltArmVectorEnv):
             self._load(beginning)
         elif self.fault == "reference jump":
             self._shift(beginning)
-        commanded = np.clip(actions, -1, 1)
-        self.refused += int(np.isnan(commanded).sum())
-        commanded = np.nan_to_num(commanded)
+        commanded = np.nan_to_num(np.clip(actions, -1, 1))
         share = np.where(broken, WEAK, 1.0) if self.fault == "weak motor" else np.ones(self.num_envs)
         applied = (commanded * share[:, None]).astype(np.float32)
         self._squares += self._running * applied[:, 0].astype(np.float64) ** 2

@@ -115,11 +115,6 @@ class Convergence:
     errors: Floats  # largest tip distance [m] for each of STEPS
     stops: int  # of the motor, which then stuck
 
-    @property
-    def orders(self) -> Floats:
-        """Observed order, log2 of the ratio of errors at a halved step, shape (len(STEPS) - 1,)."""
-        return np.log2(self.errors[:-1] / self.errors[1:])
-
 
 def measure_convergence(model: str, regime: str, samples: int = EPISODE_STEPS) -> Convergence:
     """Measure one model in one regime, from 45 degrees with the belt wound up by 20 mrad."""
