@@ -161,8 +161,8 @@ class Results:
     @property
     def note(self) -> str:
         """Sentences about what the numbers are worth."""
-        names = [row["method"] for row in self.methods]
-        return self.label.note_with([name for name in names if name.removesuffix("+guard") not in project_names()])
+        names, known = [row["method"] for row in self.methods], project_names()
+        return self.label.note_with([name for name in names if name.removesuffix("+guard") not in known])
 
     def seed_note(self, methods: Iterable[str]) -> str:
         """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
