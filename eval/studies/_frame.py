@@ -61,6 +61,16 @@ class StudyOptions:
 
 
 @dataclass(frozen=True)
+class OptionsWithJobs(StudyOptions):
+    """Options of studies that run many processes."""
+
+    bounds = Bounds(jobs=(1, 256))
+
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
+
+
+@dataclass(frozen=True)
 class DevelopmentOptions(StudyOptions):
     """Options of studies on the development set."""
 
@@ -89,7 +99,7 @@ def load(name: str) -> Any:
 
 def quick_ones(study: Any, given: StudyOptions) -> dict[str, Any]:
     """Options that stand for those not given, as JSON has them: with `--quick` those of a first try."""
-    return json.loads(json.dumps(study.QUICK, default=str)) if given.quick else {}
+    return plain(study.QUICK) if given.quick else {}
 
 
 def run(study: Any, options: StudyOptions) -> Path:
@@ -113,8 +123,7 @@ def run(study: Any, options: StudyOptions) -> Path:
 
 def chosen_options(options: StudyOptions) -> dict[str, Any]:
     """Options that decide what is measured, as JSON has them."""
-    values = {each.name: getattr(options, each.name) for each in fields(options) if each.name not in _PLACES}
-    return json.loads(json.dumps(plain(values)))
+    return plain({each.name: getattr(options, each.name) for each in fields(options) if each.name not in _PLACES})
 
 
 def write_data(data: Mapping[str, Any], folder: Path) -> None:

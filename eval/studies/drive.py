@@ -22,7 +22,7 @@ from eval.comparison.rollouts import shipped_controller, shipped_methods, side_b
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, below, mark_one_two_five, panels
 from eval.studies._arms import ALL, EFFECTS, IDEAL, drawn, heading, with_effect
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 
 QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}
 SIZES = (0.25, 0.5, 1.0, 1.5, 2.0)
@@ -32,10 +32,10 @@ _SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)  # beside the cost
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 1000), jobs=(1, 256))
+    bounds = OptionsWithJobs.bounds | Bounds(arms=(4, 1000))
 
     controllers: tuple[str, ...] = ()
     """Controllers to measure. Default: all shipped ones."""
@@ -43,8 +43,6 @@ class Options(StudyOptions):
     """Effects to vary beside all together, by the names of `ArmParams`. Default: each."""
     arms: int = 64
     """Number of arms, 4 to 1000."""
-    jobs: int | None = None
-    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:

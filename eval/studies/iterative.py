@@ -30,7 +30,7 @@ from eval.comparison.rollouts import side_by_side
 from eval.comparison.statistics import estimate, paired
 from eval.report.style import BLUE, GREEN, VERMILION, below, mark_one_two_five, panels
 from eval.studies._arms import privileged
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 
 QUICK = {"arms": 4, "repetitions": 2, "jobs": 1}
 MEMORY, WHOLE_MEMORY, LEARNER = "remembering", "remembering g too", "iterative"
@@ -60,10 +60,10 @@ _DIGITS = {**{name: METRICS[name].digits + 1 for name in _HEADED}, _MOTOR_RMS: 2
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, REPETITION.size), repetitions=(2, 100), jobs=(1, 256))
+    bounds = OptionsWithJobs.bounds | Bounds(arms=(4, REPETITION.size), repetitions=(2, 100))
 
     kinds: tuple[str, ...] = ()
     """Kinds of arms: nominal, randomized, giving. Default: all."""
@@ -71,8 +71,6 @@ class Options(StudyOptions):
     """Arms of each kind, 4 to 1000."""
     repetitions: int = 20
     """Number of times that each arm makes its move, 2 to 100."""
-    jobs: int | None = None
-    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from eval.comparison.rollouts import shipped_controller, side_by_side
 from eval.comparison.statistics import LEAST_SCENARIOS, estimate, interquartile_mean, paired
 from eval.reference.lugre import STEPS, LuGreArms
 from eval.report.style import COLOURS, mark_one_two_five, panels
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 
 QUICK = {"controllers": ("paper", "student"), "deflections": (3.0,), "arms": 4, "jobs": 1}
 QUICK |= {"check_deflections": (3.0,), "checked": 1}
@@ -48,10 +48,10 @@ _SHOWN = ("better", "worse")  # verdicts
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, PRESLIDING.size), checked=(1, PRESLIDING.size), jobs=(1, 256))
+    bounds = OptionsWithJobs.bounds | Bounds(arms=(4, PRESLIDING.size), checked=(1, PRESLIDING.size))
 
     controllers: tuple[str, ...] = ()
     """Controllers to run. Default: all of the study."""
@@ -63,8 +63,6 @@ class Options(StudyOptions):
     """Deflections of the check that a motor which gives little behaves like one that does not [mrad]."""
     checked: int = 8
     """Arms of the check, 1 to 1000."""
-    jobs: int | None = None
-    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from eval.comparison.splits import arms_of
 from eval.comparison.statistics import average, worst_mean
 from eval.report.style import BLUE, GREEN, VERMILION, name_rows
 from eval.studies._arms import believing, identifying_nothing
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 
 SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
@@ -46,10 +46,10 @@ _GIVING = ("giving",)
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000), jobs=(1, 256))
+    bounds = OptionsWithJobs.bounds | Bounds(arms=(4, 10_000), moves=(2, 100), optima=(1, 10_000))
 
     arms: int = 64
     """Number of arms, 4 to 10000."""
@@ -57,8 +57,6 @@ class Options(StudyOptions):
     """Moves of each, 2 to 100."""
     optima: int = 10
     """How many of the arms, the first ones, get the clairvoyant optimum too, 1 to 10000."""
-    jobs: int | None = None
-    """Number of processes that search for optima. Default: one per core."""
 
 
 class Step(NamedTuple):

@@ -21,7 +21,7 @@ from eval.comparison.rollouts import Recorder, shipped_controller, shipped_metho
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES
 from eval.report.style import BLUE, GREEN, VERMILION, below, mark_one_two_five, name_rows, panels
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
 
 QUICK = {
@@ -39,10 +39,10 @@ NAN = "NaN weights"
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(arms=(1, SEEDS.size), episodes=(4, EPISODES), jobs=(1, 256))
+    bounds = OptionsWithJobs.bounds | Bounds(arms=(1, SEEDS.size), episodes=(4, EPISODES))
 
     controllers: tuple[str, ...] = ()
     """Controllers to run. Default: all of the study."""
@@ -54,8 +54,6 @@ class Options(StudyOptions):
     """Arms on which something breaks, 1 to 10000."""
     episodes: int = 40
     """Scenarios per split, 4 to 200."""
-    jobs: int | None = None
-    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:

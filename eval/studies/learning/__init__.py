@@ -24,7 +24,7 @@ from eval.comparison.methods import shipped_policies
 from eval.comparison.rollouts import calls_side_by_side
 from eval.report.curves import BEST_CLASSICAL, Curve, classical_cost, curves_figure, find_curves, levels
 from eval.report.style import COLOURS, panels
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 from eval.studies.learning import bins, limits
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
@@ -33,11 +33,13 @@ QUICK |= {"bins": 1, "bin_arms": 1, "advice_arms": 2, "runs": Path("runs/ablatio
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000), jobs=(1, 256)) | Bounds(
-        bins=(1, 100), bin_arms=(1, 20), advice_arms=(1, 800)
+    bounds = (
+        OptionsWithJobs.bounds
+        | Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000))
+        | Bounds(bins=(1, 100), bin_arms=(1, 20), advice_arms=(1, 800))
     )
 
     runs: Path = Path("runs/ablations")
@@ -56,8 +58,6 @@ class Options(StudyOptions):
     """Arms of a bin for each of a method's policies."""
     advice_arms: int = 192
     """Arms for each of the shipped students, on which the teacher's advice to them is predicted."""
-    jobs: int | None = None
-    """Processes that run side by side. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from beltarm_env.task.seeds import CROSSCHECK
 from eval.comparison.rollouts import side_by_side
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS, below, panels
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, OptionsWithJobs, Pictures
 from eval.studies.physics.errors import DRIVERS, FINE, SENSITIVE, SETS, cost_change, errors_of
 
 QUICK = {"arms": 1, "samples": 40, "drawn": 2}
@@ -61,11 +61,11 @@ differ from the first in friction alone, beginning with MuJoCo's own."""
 
 
 @dataclass(frozen=True)
-class Options(StudyOptions):
+class Options(OptionsWithJobs):
     """Options of the study."""
 
-    bounds = Bounds(
-        arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS), drawn=(1, 10_000), jobs=(1, 256)
+    bounds = OptionsWithJobs.bounds | Bounds(
+        arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS), drawn=(1, 10_000)
     )
 
     arms: int = 8
@@ -76,8 +76,6 @@ class Options(StudyOptions):
     """Length of the motions in control periods, 1 to 1200."""
     drawn: int = 1000
     """Arms of each set whose samples are integrated in more steps, 1 to 10000."""
-    jobs: int | None = None
-    """Number of processes. Default: one per core."""
 
 
 def measure(options: Options) -> dict[str, Any]:
