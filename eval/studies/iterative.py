@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from baselines import PaperController, tuned_controller
+from baselines import CONTROLLERS
 from baselines.yardsticks.iterative import IterativeController
 from baselines.yardsticks.remembering import RememberingController
 from beltarm_env.arm import COLUMN
@@ -25,7 +25,7 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.ranges import PRESLIDING, TRAIN_RANGES
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
-from eval.comparison.methods import chosen
+from eval.comparison.methods import PRIVILEGED, chosen
 from eval.comparison.rollouts import side_by_side
 from eval.comparison.statistics import estimate, paired
 from eval.report.style import BLUE, GREEN, VERMILION, below, mark_one_two_five, panels
@@ -40,10 +40,10 @@ PRACTISING: dict[str, Callable[[], RememberingController | IterativeController]]
     LEARNER: IterativeController,
 }
 """What makes the first trial and the controllers of all that follow, by name."""
-OTHERS = ("paper", "adaptive", "privileged")
+OTHERS = ("paper", "adaptive", PRIVILEGED)
 """Controllers that learn nothing from trial to trial."""
 PAIRS = (
-    *((MEMORY, 1, "adaptive"), (MEMORY, -1, "adaptive"), (MEMORY, -1, "privileged")),
+    *((MEMORY, 1, "adaptive"), (MEMORY, -1, "adaptive"), (MEMORY, -1, PRIVILEGED)),
     *((WHOLE_MEMORY, -1, "adaptive"), (LEARNER, -1, "paper"), (LEARNER, -1, "adaptive")),
 )
 """Differences of costs that are shown: of a controller in its second trial or the last, from another controller."""
@@ -109,9 +109,9 @@ def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Flo
             trials.append(metrics_of(rollout(controller, arms, **scenarios)))
             controller = controller.following()
         return trials
-    if name == "privileged":
+    if name == PRIVILEGED:
         return [metrics_of(rollout(privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
-    return [metrics_of(rollout(PaperController() if name == "paper" else tuned_controller(name), arms, **scenarios))]
+    return [metrics_of(rollout(CONTROLLERS[name](), arms, **scenarios))]
 
 
 def metrics_of(run: Recording) -> dict[str, Floats]:

@@ -22,13 +22,11 @@ from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.methods import chosen
+from eval.comparison.methods import PRIVILEGED, chosen
 from eval.report.style import BLUE, VERMILION, damping_lines, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions, shown
 from eval.studies.loops import costs
 
-ORACLE = "privileged"
-"""Name of the controller that knows arm and state; never ranked."""
 QUICK = {"names": ("ei",), "arms": 8}
 ARMS = tuple(CORNERS)
 """Arms that loops are looked at on; the first is the design model."""
@@ -50,23 +48,23 @@ class Options(StudyOptions):
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Everything about the chosen controllers; `ORACLE`, the last, has costs alone.
+    """Everything about the chosen controllers; `PRIVILEGED`, the last, has costs alone.
 
     Raises:
         ValueError: If a name is unknown, or the file of gains is damaged.
     """
     names = chosen("controller", options.names, CONTROLLERS)
     rows = {}
-    for name in progress_over("controllers", [*names, ORACLE]):
-        make = PrivilegedController if name == ORACLE else costs.blind(CONTROLLERS[name]())
+    for name in progress_over("controllers", [*names, PRIVILEGED]):
+        make = PrivilegedController if name == PRIVILEGED else costs.blind(CONTROLLERS[name]())
         rows[name] = costs.measure_costs(make, options.arms, options.arms // 4)
-        if name != ORACLE:
+        if name != PRIVILEGED:
             rows[name]["loop"] = scan(CONTROLLERS[name]())
     return {
         "arms": options.arms,
         "moves": options.arms // 4,
         "first_seed": LOOPS.first,
-        "oracle": ORACLE,
+        "oracle": PRIVILEGED,
         "changes": [change.title for change in costs.CHANGES],
         "limits": [change.title for change in costs.LIMITS],
         "corners": ARMS,
