@@ -105,17 +105,18 @@ def headline(results: Results) -> str:
     tests = {row["metric"]: row for row in results.content["primary"] if row["split"] == results.main}
     if "still_s" not in tests:
         return ""
-    cost, unsure = tests["cost"], {"open": " (no difference is shown)"}
+    cost = tests["cost"]
     pair = [results.records[cost[role], results.main] for role in ("challenger", "classical")]
     after = "a move of a working shift" if results.main == "shift" else f"a move on {results.main}"
     names = [called(row["method"], row["kind"], results.of_kind(row["kind"])) for row in pair]
     times = [f"{1000 * estimate(row, 'still_s').iqm:.0f} ms with {name}" for name, row in zip(names, pair, strict=True)]
-    still = ", and in ".join(times) + unsure.get(tests["still_s"]["result"], "")
-    tie = is_tie("cost", cost["result"], cost["relative"])
-    change = f"{100 * abs(cost['relative']):.{int(tie)}f} % {'less' if cost['relative'] < 0 else 'more'}"
-    change = f"the move costs {change}{', a practical tie' if tie else ''}"
+    still = ", and in ".join(times) + (" (no difference is shown)" if tests["still_s"]["result"] == "open" else "")
     if cost["result"] == "open":
         change = "no difference in the cost of the move is shown that holds in both averages"
+    else:
+        tie, way = is_tie("cost", cost["result"], cost["relative"]), "less" if cost["relative"] < 0 else "more"
+        size = f"{100 * abs(cost['relative']):.{int(tie)}f} % {way}"
+        change = f"the move costs {size}{', a practical tie' if tie else ''}"
     return f"After {after} the arm's end is still in {still}, on average; {change}."
 
 
