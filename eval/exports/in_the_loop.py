@@ -129,7 +129,6 @@ class Agreement:
 
     samples: int
     equal: int  # samples whose torques are equal to the last bit
-    largest: float  # difference of torques [N m]
     costs: tuple[Floats, Floats]  # of the controller, of the program; shape (episodes,)
     times: StepTimes
 
@@ -167,8 +166,7 @@ def compare(
         times = program.times()
     a, b = recording.torque, compiled.torque
     same = (a == b) | (np.isnan(a) & np.isnan(b))
-    largest = float(np.nanmax(np.abs(a - b), initial=0.0))
-    return Agreement(same.size, int(same.sum()), largest, (recording.cost, compiled.cost), times)
+    return Agreement(same.size, int(same.sum()), (recording.cost, compiled.cost), times)
 
 
 def program_for(folder: Path, loop: Loop, split: Split, moves: Floats, toolchain: Toolchain | None = None) -> InTheLoop:
