@@ -30,8 +30,10 @@ from baselines.optimal.preview import PreviewController
 from baselines.planning.plan import GAIN, planned
 from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
+from baselines.servo.flat import FlatController
 from baselines.servo.paper import PaperController, RetunedController, next_torsion
-from baselines.servo.pid import PidServo
+from baselines.servo.shaping import ZvController
+from baselines.servo.smooth import SmoothController
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.physics.sampled import sampled_state_space
@@ -231,7 +233,9 @@ def mpc_law(controller: MpcController, k: int) -> Law:
 LAWS: dict[type, Callable[[Any, int], Law]] = {
     PaperController: paper_law,
     RetunedController: retuned_law,
-    PidServo: pid_law,
+    ZvController: pid_law,
+    SmoothController: pid_law,
+    FlatController: pid_law,
     DisturbanceController: disturbance_law,
     AdrcController: adrc_law,
     LqgController: lqg_law,
@@ -240,16 +244,19 @@ LAWS: dict[type, Callable[[Any, int], Law]] = {
     AdaptiveController: adaptive_law,
 }
 """Makers of the law at `ANGLES[k]`, by the type of controller."""
+_OF_LAW = ("sensors", "predict", "law", "kernel", "arm_law", "feedback_law", "correction", "_known")
+"""What makes a controller's law: a subclass that has one of them otherwise has another law."""
 
 
 def law_of(controller: Any, k: int) -> Law:
     """Law of a controller at rest at `ANGLES[k]`.
 
     Raises:
-        ValueError: If there is none for its type.
+        ValueError: If there is none for its type, or its type is a subclass with another law.
     """
-    for kind, law in LAWS.items():
-        if isinstance(controller, kind):
-            return law(controller, k)
-    remedy = "add one to LAWS in baselines/loops/laws.py, or tune with --no-margins"
-    raise ValueError(f"no linear law for {type(controller).__name__}: {remedy}")
+    kind = type(controller)
+    known = next((each for each in kind.__mro__ if each in LAWS), None)
+    if known is None or any(getattr(kind, name, None) is not getattr(known, name, None) for name in _OF_LAW):
+        remedy = "add one to LAWS in baselines/loops/laws.py, or tune with --no-margins"
+        raise ValueError(f"no linear law for {kind.__name__}: {remedy}")
+    return LAWS[known](controller, k)

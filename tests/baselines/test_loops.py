@@ -10,6 +10,7 @@ from typing import Any, cast
 import control
 import numpy as np
 import pytest
+from refusals import refused
 
 from baselines import CONTROLLERS, TUNABLE
 from baselines.estimation.observer import QUANTUM
@@ -106,6 +107,15 @@ def test_a_controller_responds_to_a_pulse_as_its_linear_loop(name: str, params: 
         torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
         expected = np.asarray(closed.forced_response(inputs=torques).outputs)
         assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max(), k
+
+
+@pytest.mark.parametrize("name", TUNABLE)
+def test_a_subclass_has_the_linear_law_of_its_class_but_for_one_with_another_law(name: str):
+    kind = TUNABLE[name]
+    assert law_of(type("Same", (kind,), {})(), 20).size == law_of(kind(), 20).size
+    for part in ("arm_law", "kernel", "law"):
+        another = type("Another", (kind,), {part: lambda *_: None})
+        refused(ValueError, ("Another", "LAWS"), lambda another=another: law_of(another(), 20))
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

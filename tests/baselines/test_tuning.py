@@ -21,6 +21,7 @@ from baselines import TUNABLE, PaperController, PaperGains, gains
 from baselines.engines.parallel import Channel
 from baselines.gains import FILE, Gains, read_file, tunable, tuned, write_entry
 from baselines.loops.condition import MarginCondition
+from baselines.loops.laws import LAWS, retuned_law
 from baselines.servo.paper import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning.search import RUNGS, SearchProgress, Terms, estimate, open_search, search, split_budget
@@ -89,6 +90,9 @@ class Watched(RetunedController):
     def predict(self, *arguments: Any, **named: Any) -> Any:
         Watched.simulated.add(self.free)
         return super().predict(*arguments, **named)
+
+
+LAWS[Watched] = retuned_law
 
 
 def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
