@@ -73,17 +73,6 @@ class TuningConfig(WithStorage):
         """Names of the controllers to tune.
 
         Raises:
-            ValueError: If an option is out of range, a name unknown, or there is nothing to do.
-        """
-        require_bounds(self, seed=(0, None), moves=(1, MOST_MOVES))
-        split_budget(self.budget, self.moves)
-        self.check_engine()
-        return self.named()
-
-    def named(self) -> list[str]:
-        """Names of the controllers to tune, whatever the other options are.
-
-        Raises:
             ValueError: If a name is unknown, or there is none.
         """
         if self.all == bool(self.names):
@@ -100,7 +89,7 @@ class TuningConfig(WithStorage):
         if not self.resume:
             return {}
         of_this_run = ("names", "all", "journals", "resume")
-        noted = {name: noted_options(self.file(name, "json"), *of_this_run) for name in self.named()}
+        noted = {name: noted_options(self.file(name, "json"), *of_this_run) for name in self.chosen()}
         first, *others = [name for name, options in noted.items() if options] or [""]
         for name in others:
             if noted[name] != noted[first]:
@@ -112,10 +101,14 @@ def tune(config: TuningConfig, console: Console) -> None:
     """Tune controllers side by side, and write the gains of each as soon as they are found.
 
     Raises:
-        ValueError: If a file is bad, there is nothing to resume, or, once the others are through, if searches failed.
+        ValueError: If an option is out of range, a name unknown, a file bad, or there is nothing to resume; once the
+            others are through, if searches failed.
         OSError: If files cannot be written.
         Interrupted: If a signal asked to stop; the journals are in order.
     """
+    require_bounds(config, seed=(0, None), moves=(1, MOST_MOVES))
+    split_budget(config.budget, config.moves)
+    config.check_engine()
     names = config.chosen()
     if not config.margins and config.out.resolve() == FILE.resolve():
         raise ValueError(f"--no-margins is not for {FILE.name}: give another file with --out")

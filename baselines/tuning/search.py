@@ -156,27 +156,6 @@ def beginnings(kind: type[Gains]) -> list[dict[str, float]]:
     return found
 
 
-def open_search(kind: type[Gains], terms: Terms, journal: Path) -> optuna.Study:
-    """Open the study of a search, or begin one; what was interrupted is to be repeated.
-
-    Raises:
-        ValueError: If the journal is damaged, or was begun with another seed, other code, gains, margins or moves.
-    """
-    condition = terms.condition
-    begun = {
-        "seed": terms.seed,
-        "moves": terms.moves,
-        "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
-        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
-    }
-    packages, remedy = ("beltarm_env", "baselines"), "tune anew, without --resume"
-    with catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-        pruner = optuna.pruners.WilcoxonPruner(p_threshold=SIGNIFICANCE, n_startup_steps=RUNGS[0])
-    study = open_study(journal, begun, pruner, packages=packages, remedy=remedy)
-    repeat_interrupted(study)
-    return study
-
-
 def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None = None) -> SearchResult:
     """Search for gains of a controller, resuming from the journal, in which every trial is noted as it runs.
 
@@ -184,13 +163,25 @@ def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None
 
     Raises:
         ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
-            gains or has no linear law, the journal belongs to another search, or another process searches with it.
+            gains or has no linear law, the journal is damaged or was begun with another seed, other code, gains,
+            margins or moves, or another process searches with it.
         OSError: If the journal cannot be written.
         Interrupted: If asked to stop; the journal is in order.
     """
     steps, arms = split_budget(terms.budget, terms.moves)
+    condition = terms.condition
+    begun = {
+        "seed": terms.seed,
+        "moves": terms.moves,
+        "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind.gains_type)},
+        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
+    }
+    with catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        pruner = optuna.pruners.WilcoxonPruner(p_threshold=SIGNIFICANCE, n_startup_steps=RUNGS[0])
+    packages, remedy = ("beltarm_env", "baselines"), "tune anew, without --resume"
     with own(journal), errors_about(journal):
-        study = open_search(kind.gains_type, terms, journal)
+        study = open_study(journal, begun, pruner, packages=packages, remedy=remedy)
+        repeat_interrupted(study)
         if study.user_attrs.get("budget") == terms.budget:
             return SearchResult(**study.user_attrs["found"])
         run = _Search(kind, terms, study, channel or Channel())

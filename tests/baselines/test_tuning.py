@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import pytest
 from commands import ROOT, mistake, started
 from optuna.trial import TrialState
@@ -24,8 +25,8 @@ from baselines.loops.condition import MarginCondition
 from baselines.loops.laws import LAWS, retuned_law
 from baselines.servo.paper import RetunedController, RetunedGains
 from baselines.tune import main
-from baselines.tuning.search import RUNGS, SearchProgress, Terms, estimate, open_search, search, split_budget
-from baselines.tuning.study import begin_anew, own
+from baselines.tuning.search import RUNGS, SearchProgress, Terms, estimate, search, split_budget
+from baselines.tuning.study import begin_anew, own, storage_in
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.engine.library import ANNOUNCEMENT
 
@@ -119,8 +120,8 @@ def test_a_search_keeps_its_budget_and_helps(tmp_path: Path):
     assert more.steps == Counting.steps > first.steps and more.trials > first.trials
 
 
-def finished(kind: type[Gains], journal: Path) -> list[tuple[Any, ...]]:
-    trials = open_search(kind, Terms(0), journal).get_trials(states=(TrialState.COMPLETE,))
+def finished(journal: Path) -> list[tuple[Any, ...]]:
+    trials = optuna.load_study(study_name=None, storage=storage_in(journal)).get_trials(states=(TrialState.COMPLETE,))
     return [(trial.params, trial.value, trial.intermediate_values) for trial in trials]
 
 
@@ -135,7 +136,7 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     assert result.steps <= budget
     assert 4 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
     search(Counting, Terms(budget + MIN_BUDGET), tmp_path / "whole")
-    ours, theirs = (finished(OneGain, path) for path in (journal, tmp_path / "whole"))
+    ours, theirs = (finished(path) for path in (journal, tmp_path / "whole"))
     assert 3 < len(ours) < len(theirs) and ours == theirs[: len(ours)] and ours[0][0] == asdict(OneGain())
     Counting.steps = 0
     assert search(Counting, Terms(budget), journal) == result and Counting.steps == 0
