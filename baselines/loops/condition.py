@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -31,8 +30,8 @@ class LeastMargins(NamedTuple):
     delay_at: str
 
 
-def margins_on(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> tuple[Margins, Poles]:
-    """Margins, and poles z of the closed loop, of a controller on some of `CORNERS` at all angles.
+def margins_on(controller: Any) -> tuple[Margins, Poles]:
+    """Margins, and poles z of the closed loop, of a controller on all of `CORNERS` at all angles.
 
     Returns:
         Margins of shape (arms, 46) each, and poles of shape (arms, 46, m).
@@ -42,33 +41,33 @@ def margins_on(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> tuple[M
     """
     loops = list[Loop]()
     laws = [] if isinstance(controller, AdaptiveController) else laws_at_angles(controller)
-    for name in arms:
-        own = laws or laws_at_angles(believing(controller, CORNERS[name]))
+    for name, arm in CORNERS.items():
+        own = laws or laws_at_angles(believing(controller, arm))
         loops += map(Loop, own, _arm_at_angles(name))
     opened, closed = poles_of(loops)
-    found, shape = margins_from_poles(opened, closed), (len(arms), len(ANGLES))
+    found, shape = margins_from_poles(opened, closed), (len(CORNERS), len(ANGLES))
     shaped: Any = [each.reshape(shape) for each in found]
     return Margins(*shaped), closed.reshape(*shape, -1)
 
 
-def least_margins(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> LeastMargins:
-    """Least margins of a controller over some of `CORNERS` and all angles; errors as of `margins_on`."""
-    found, closed = margins_on(controller, arms)
+def least_margins(controller: Any) -> LeastMargins:
+    """Least margins of a controller over all of `CORNERS` and all angles; errors as of `margins_on`."""
+    found, closed = margins_on(controller)
     growth = np.abs(closed).max(axis=-1) - 1
     # Where loops are unstable, the worst is the one that diverges fastest.
     modulus, delay = (np.where(found.stable, values, -growth) for values in (found.modulus, found.delay))
     return LeastMargins(
         growth=float(growth.max()),
         modulus=max(0.0, float(modulus.min())),
-        modulus_at=_place(modulus, arms),
+        modulus_at=_place(modulus),
         delay=max(0.0, float(delay.min())),
-        delay_at=_place(delay, arms),
+        delay_at=_place(delay),
     )
 
 
-def _place(values: Floats, names: Sequence[str]) -> str:
+def _place(values: Floats) -> str:
     arm, k = divmod(int(values.argmin()), len(ANGLES))
-    return f"{names[arm]}, {np.degrees(ANGLES[k]):.0f}°"
+    return f"{[*CORNERS][arm]}, {np.degrees(ANGLES[k]):.0f}°"
 
 
 @cache
@@ -90,11 +89,10 @@ def believing(controller: Any, arm: ArmParams) -> Any:
 
 @dataclass(frozen=True)
 class MarginCondition:
-    """Least margins of a loop that may be connected to a motor."""
+    """Least margins, on all of `CORNERS`, of a loop that may be connected to a motor."""
 
     modulus: float = 0.4
     delay: float = 1.0  # [samples] beyond the latency of the arm
-    arms: tuple[str, ...] = tuple(CORNERS)
 
     def shortfall(self, controller: Any) -> float:
         """How far a controller falls short: 0 if it does not, up to 1 by margins, up to 2 the faster a loop diverges.
@@ -102,7 +100,7 @@ class MarginCondition:
         Raises:
             ValueError: If there is no linear law for the controller.
         """
-        least = least_margins(controller, self.arms)
+        least = least_margins(controller)
         if least.growth >= 0:
             return 1 + least.growth / (1 + least.growth)
         return max(0.0, 1 - least.modulus / self.modulus, 1 - least.delay / self.delay)

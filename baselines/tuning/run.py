@@ -16,6 +16,7 @@ from baselines.engines.parallel import Interrupted, StopRequest, run_side_by_sid
 from baselines.engines.workplace import WithStorage, Workplace
 from baselines.gains import FILE, Gains, read_file, write_entry
 from baselines.loops.condition import MarginCondition, least_margins
+from baselines.models.corners import CORNERS
 from baselines.registry import TUNABLE
 from baselines.tools.command import require_bounds, require_known
 from baselines.tools.files import require_writable
@@ -163,10 +164,10 @@ def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResul
     effort = {name: value for name, value in asdict(found).items() if name not in ("gains", "arms")}
     margins: object = "not asked for"
     if (condition := config.terms.condition) is not None:
-        least = least_margins(TUNABLE[name](gains), condition.arms)
+        least = least_margins(TUNABLE[name](gains))
         reached = {"modulus": round(least.modulus, 3), "modulus_at": least.modulus_at}
         reached |= {"delay_samples": round(least.delay, 2), "delay_at": least.delay_at}
-        margins = {**asdict(condition), "reached": reached}
+        margins = {**asdict(condition), "arms": list(CORNERS), "reached": reached}
     return {
         "command": command_line(),
         "seed": config.seed,

@@ -46,6 +46,7 @@ from optuna.trial import FrozenTrial, TrialState
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Gains
 from baselines.loops.condition import MarginCondition, least_margins
+from baselines.models.corners import CORNERS
 from baselines.registry import TUNABLE
 from baselines.tools.files import errors_about
 from baselines.tuning.study import ask, open_study, own, repeat_interrupted
@@ -174,7 +175,7 @@ def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None
         "seed": terms.seed,
         "moves": terms.moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind.gains_type)},
-        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
+        "margins": None if condition is None else {**asdict(condition), "arms": list(CORNERS)},
     }
     with catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
         pruner = optuna.pruners.WilcoxonPruner(p_threshold=SIGNIFICANCE, n_startup_steps=RUNGS[0])
@@ -217,7 +218,7 @@ class _Search:
         self.refused = len(self._trials(TrialState.PRUNED))
         condition = terms.condition
         if condition is not None and condition.shortfall(untuned := kind()) > 0:
-            least, remedy = least_margins(untuned, condition.arms), f"change the defaults of {kind.gains_type.__name__}"
+            least, remedy = least_margins(untuned), f"change the defaults of {kind.gains_type.__name__}"
             raise ValueError(f"the untuned gains fall short of the margins asked for, {least}: {remedy}")
 
     def trial(self) -> None:
