@@ -8,7 +8,7 @@ import shlex
 import shutil
 import sys
 import traceback
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -109,15 +109,9 @@ def require_known(names: Collection[str], known: Collection[str], complaint: str
     Raises:
         ValueError: With the complaint, in which `{}` is the name, and the nearest known name or all of them.
     """
+    by_letters = {one.lower(): one for one in known}
     for name in names:
         if name not in known:
-            near = nearest(name, known)
-            hint = f"did you mean {near!r}?" if near else f"there are {', '.join(known)}"
+            near = difflib.get_close_matches(name.lower(), by_letters, n=1)
+            hint = f"did you mean {by_letters[near[0]]!r}?" if near else f"there are {', '.join(known)}"
             raise ValueError(f"{complaint.format(repr(name))}; {hint}")
-
-
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Known name that is near to what a user wrote, if one is."""
-    by_letters = {one.lower(): one for one in known}
-    near = difflib.get_close_matches(name.lower(), by_letters, n=1)
-    return by_letters[near[0]] if near else None
