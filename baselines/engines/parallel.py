@@ -307,23 +307,22 @@ def work(name: str, task: Task[Any], news: Any, stops: Any, folder: str) -> byte
     """
     stop, over, parent = StopRequest(), threading.Event(), os.getppid()
 
-    def look() -> None:
+    def asked_to_stop() -> bool:
         try:
-            stop.made = not stops.empty()
+            return not stops.empty()
         except Exception:  # the process that began the task has ended
-            stop.made = True
+            return True
 
     def watch() -> None:
         while not (stop.made or over.wait(_LOOK)):
-            look()
+            stop.made = asked_to_stop()
 
     def report(what: Any) -> None:
         data = pickle.dumps((name, what))
         with suppress(EOFError, OSError):
             news.put(data)
 
-    look()
-    if stop.made:
+    if asked_to_stop():
         return b""
     threading.Thread(target=watch, daemon=True).start()
     with suppress(OSError):
