@@ -65,20 +65,17 @@ def torsion_feedback(params: ArmParams, theta_1: float, inertia: float, gains: A
     return Law(3, step)
 
 
-def _without_torsion(params: ArmParams, gains: Any) -> Law:
+def paper_law(controller: PaperController, k: int) -> Law:
+    """Table 2 on the motor's inertia alone; with K_4 = 0 nothing of the simulation reaches the torque."""
+    params, gains = controller.params, controller.gains
+    if gains.torsion_speed != 0:
+        return torsion_feedback(params, ANGLES[k], params.motor_inertia, gains)
+
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
         servo = -params.motor_inertia * (gains.speed * speed + gains.angle * angle)
         return servo + params.motor_viscous_friction * speed, memory
 
     return Law(0, step)
-
-
-def paper_law(controller: PaperController, k: int) -> Law:
-    """Table 2 on the motor's inertia alone; with K_4 = 0 nothing of the simulation reaches the torque."""
-    params, gains = controller.params, controller.gains
-    if gains.torsion_speed == 0:
-        return _without_torsion(params, gains)
-    return torsion_feedback(params, ANGLES[k], params.motor_inertia, gains)
 
 
 def retuned_law(controller: RetunedController, k: int) -> Law:
