@@ -42,7 +42,7 @@ class ResidualSettings:
         number = isinstance(self.limit, int | float) and not isinstance(self.limit, bool)
         if not (number and 0 < self.limit <= 2):
             raise ValueError(f"residual limit must lie in (0, 2] of the torque limit, got {self.limit!r}")
-        whole("residual hold [samples]", self.hold, 1, 100)
+        object.__setattr__(self, "hold", whole("residual hold [samples]", self.hold, 1, 100))
         if self.knowledge not in ENTRIES:
             raise ValueError(f"knowledge must be one of {', '.join(ENTRIES)}, got {self.knowledge!r}")
 

@@ -182,8 +182,7 @@ def test_controllers_that_fail_are_survived_but_not_untuned(tmp_path: Path):
 
 
 def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_falls_short(tmp_path: Path):
-    condition, journal = MarginCondition(), tmp_path / "journal"
-    progress: list[SearchProgress] = []
+    condition, journal, progress = MarginCondition(), tmp_path / "journal", list[SearchProgress]()
     Watched.simulated.clear()
     terms = Terms(6 * MIN_BUDGET, condition=condition)
     with pytest.raises(KeyboardInterrupt):
@@ -199,12 +198,10 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
 
 
 def test_estimates_take_the_difficulty_of_the_arms_out():
-    random = np.random.default_rng(0)
-    best = random.lognormal(6, 1, RUNGS[-1])
-    few, none = best[: RUNGS[0]], np.empty(0)
-    assert estimate(few + 10, best) == pytest.approx(best.mean() + 10)
-    assert estimate(best + 10, best) == pytest.approx(best.mean() + 10)
-    assert estimate(few, none) == few.mean()
+    best = np.random.default_rng(0).lognormal(6, 1, RUNGS[-1])
+    few = best[: RUNGS[0]]
+    assert all(estimate(costs + 10, best) == pytest.approx(best.mean() + 10) for costs in (few, best))
+    assert estimate(few, np.empty(0)) == few.mean()
 
 
 def test_gains_are_written_beside_others_and_refused_where_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

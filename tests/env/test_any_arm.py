@@ -15,12 +15,6 @@ from beltarm_env.observation import bounds
 from beltarm_env.task.cost import MAX_COST
 
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
-
-
-def spread(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(math.log(low), math.log(high)).map(math.exp)
-
-
 SPREAD = {
     **{"gear_ratio": (1, 1000), "link_length": (0.01, 2), "hand_length": (0.01, 2), "motor_inertia": (1e-7, 1e-2)},
     **{"motor_viscous_friction": (1e-6, 1e-1), "coulomb_friction": (1e-5, 1), "arm_inertia": (1e-4, 10)},
@@ -35,7 +29,9 @@ def values_of(name: str) -> st.SearchStrategy[float]:
     bound = bounds_of(name)
     if name == "torque_ripple_order":
         return st.integers(1, 100).map(float)
-    values = spread(*SPREAD[name]) if name in SPREAD else st.floats(bound.low, bound.high)
+    values = st.floats(bound.low, bound.high)
+    if name in SPREAD:
+        values = st.floats(*map(math.log, SPREAD[name])).map(math.exp)
     return values if bound.low > 0 or (bound.low == 0 and bound.above) else st.just(0.0) | values
 
 
