@@ -13,7 +13,9 @@ On n arms, with differences d_i in cost to the best,
 
 is what the estimator learns from. After each of `RUNGS` arms a trial is pruned if Wilcoxon's signed-rank test says
 that it is worse than the best one, unless its estimated cost is lower: the test looks at ranks, but costs have long
-tails. It is Optuna's `WilcoxonPruner`, which reads the cost of each arm from the journal.
+tails. The test is that of Optuna's `WilcoxonPruner`. It reads the cost of each arm from the journal, which takes 0.3 ms
+where an arm of four moves takes 3 ms or more, and prunes no trial, either, whose mean on the arms so far is below the
+best one's on all of them.
 
 **Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
 and the untuned gains, on other arms. The best on all arms that it has met is the result; its cost on the others is what
