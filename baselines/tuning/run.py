@@ -16,7 +16,6 @@ from baselines.engines.parallel import Interrupted, StopRequest, run_side_by_sid
 from baselines.engines.workplace import WithStorage, Workplace
 from baselines.gains import FILE, Gains, read_file, write_entry
 from baselines.loops.condition import MarginCondition, least_margins
-from baselines.models.corners import CORNERS
 from baselines.registry import TUNABLE
 from baselines.tools.command import require_bounds, require_known
 from baselines.tools.files import require_writable
@@ -162,12 +161,12 @@ def tune(config: TuningConfig, console: Console) -> None:
 def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResult, at: str) -> dict[str, object]:
     """Provenance of gains found at a commit: the search, its effort, and the margins asked for and reached."""
     effort = {name: value for name, value in asdict(found).items() if name not in ("gains", "arms")}
-    margins: object = "not asked for"
-    if (condition := config.terms.condition) is not None:
+    margins = config.terms.margins
+    if margins is not None:
         least = least_margins(TUNABLE[name](gains))
         reached = {"modulus": round(least.modulus, 3), "modulus_at": least.modulus_at}
         reached |= {"delay_samples": round(least.delay, 2), "delay_at": least.delay_at}
-        margins = {**asdict(condition), "arms": list(CORNERS), "reached": reached}
+        margins["reached"] = reached
     return {
         "command": command_line(),
         "seed": config.seed,
@@ -178,5 +177,5 @@ def provenance(config: TuningConfig, name: str, gains: Gains, found: SearchResul
         "date": datetime.now(UTC).date().isoformat(),
         "version": __version__,
         "commit": at,
-        "margins": margins,
+        "margins": margins or "not asked for",
     }

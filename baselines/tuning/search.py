@@ -81,6 +81,11 @@ class Terms(NamedTuple):
     moves: int = 1  # of each arm, in a row
     condition: MarginCondition | None = None  # margins that the loop has to keep; None for none
 
+    @property
+    def margins(self) -> dict[str, Any] | None:
+        """Margins that are asked for, and the arms on which, as JSON has them."""
+        return None if self.condition is None else {**asdict(self.condition), "arms": list(CORNERS)}
+
 
 class SearchProgress(NamedTuple):
     """Progress of a search."""
@@ -172,12 +177,11 @@ def search(kind: type[Any], terms: Terms, journal: Path, channel: Channel | None
         Interrupted: If asked to stop; the journal is in order.
     """
     steps, arms = split_budget(terms.budget, terms.moves)
-    condition = terms.condition
     begun = {
         "seed": terms.seed,
         "moves": terms.moves,
         "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind.gains_type)},
-        "margins": None if condition is None else {**asdict(condition), "arms": list(CORNERS)},
+        "margins": terms.margins,
     }
     with catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
         pruner = optuna.pruners.WilcoxonPruner(p_threshold=SIGNIFICANCE, n_startup_steps=RUNGS[0])

@@ -96,13 +96,13 @@ class Watched(RetunedController):
 LAWS[Watched] = retuned_law
 
 
-def interrupted_after(calls: int, reports: list[SearchProgress]) -> Channel:
-    """Channel that interrupts a search after so many reports of its progress, which are kept."""
+def interrupted_after(calls: int) -> Channel:
+    """Channel that interrupts a search after so many reports of its progress."""
+    reports = itertools.count()
 
-    def interrupt(news: SearchProgress) -> None:
-        if len(reports) == calls:
+    def interrupt(_: SearchProgress) -> None:
+        if next(reports) == calls:
             raise KeyboardInterrupt
-        reports.append(news)
 
     return Channel(interrupt)
 
@@ -130,7 +130,7 @@ def test_interrupted_search_is_the_uninterrupted_one(tmp_path: Path):
     journal, budget = tmp_path / "journal", 4 * MIN_BUDGET
     for calls in (0, 2, 3):
         with pytest.raises(KeyboardInterrupt):
-            search(Counting, Terms(budget), journal, interrupted_after(calls, []))
+            search(Counting, Terms(budget), journal, interrupted_after(calls))
     Counting.steps = 0
     result = search(Counting, Terms(budget), journal)
     assert result.steps <= budget
@@ -186,7 +186,7 @@ def test_an_interrupted_search_with_margins_goes_on_and_simulates_nothing_that_f
     Watched.simulated.clear()
     terms = Terms(6 * MIN_BUDGET, condition=condition)
     with pytest.raises(KeyboardInterrupt):
-        search(Watched, terms, journal, interrupted_after(11, []))
+        search(Watched, terms, journal, interrupted_after(11))
     result = search(Watched, terms, journal, Channel(progress.append))
     assert result.refused > 0 and result.steps <= terms.budget
     assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), "a refusal costs none"
